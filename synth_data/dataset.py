@@ -1,0 +1,53 @@
+"""What a study may ask of its data: one interface for every dataset and every kind of truth.
+
+A config class (one YAML in ``conf/dataset``) has ``load(progress) -> Dataset``; all identities share faces,
+regions and the list of expressions, so that frame i of one identity is the truth for frame i of another.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from retarget.types import FloatArray, IntArray, Regions
+
+Progress = Callable[[str], None]  # told one line per step that takes long
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What a result is conditional on; it travels into every row of every table."""
+
+    dataset: str
+    truth: str  # kind of ground truth, e.g. "personal_blendshapes"
+    weights: str  # source of the blending weights, e.g. "sparse"
+    noise_mm: float = 0.0
+
+
+class Dataset(ABC):
+    """Identities that perform the same expressions in one topology, in mm, stabilised on the cranium."""
+
+    conditions: Conditions
+    faces: IntArray  # (f, 3)
+    regions: Regions
+    identities: tuple[str, ...]
+    expressions: tuple[str, ...]  # N names, without the neutral
+    favours: str  # one sentence for the report: which methods this truth resembles, and what it cannot show
+    fingerprint: str  # SHA-256 over everything that decides the frames; equal prints mean equal data
+
+    @abstractmethod
+    def neutral(self, identity: str) -> FloatArray:
+        """(n, 3) mm."""
+
+    @abstractmethod
+    def frames(self, identity: str, indices: Sequence[int]) -> FloatArray:
+        """(len(indices), n, 3) mm: the expressions with these indices, neutral included in the positions."""
+
+
+class DatasetConfig(ABC):
+    """A frozen dataclass of settings that Hydra makes from ``conf/dataset/*.yaml``."""
+
+    @abstractmethod
+    def load(self, progress: Progress = lambda line: None) -> Dataset:
+        """Read or synthesise the data. Raises InvalidInput with what to do when it cannot."""
