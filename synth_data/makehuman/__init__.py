@@ -1,0 +1,1 @@
+"""MakeHuman heads (CC0) with ARKit face units: identities, personal rigs and expressions."""
