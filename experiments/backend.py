@@ -1,0 +1,43 @@
+"""Where the tasks of a study run. A backend yields results in the order in which they finish."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+import joblib
+from threadpoolctl import threadpool_limits
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+class Backend(Protocol):
+    def run(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
+        """function must live in an importable module; an exception in a task is raised here."""
+        ...
+
+
+@dataclass(frozen=True)
+class Serial:
+    threads: int = 1
+
+    def run(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
+        for task in tasks:
+            yield _limited(function, task, self.threads)
+
+
+@dataclass(frozen=True)
+class Joblib:
+    jobs: int = -1
+    threads: int = 1
+
+    def run(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
+        parallel = joblib.Parallel(n_jobs=self.jobs, return_as="generator_unordered", pre_dispatch="2*n_jobs")
+        yield from parallel(joblib.delayed(_limited)(function, task, self.threads) for task in tasks)
+
+
+def _limited(function: Callable[[Task], Result], task: Task, threads: int) -> Result:
+    with threadpool_limits(limits=threads):
+        return function(task)

@@ -1,0 +1,300 @@
+"""One (source, target) pair of a study: prepare each method once, then loop over example counts and draws."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+import time
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from experiments.correspondence import Known, correspondence
+from experiments.metrics.metric import Comparison, Measurement, Metric
+from experiments.protocol import Draw, draw
+from experiments.record import FRAMES, METRIC_COLUMNS, SCHEMA, Record, write_record, write_whole
+from experiments.references import REFERENCES
+from experiments.study import Row, Study
+from retarget.check import InvalidInput
+from retarget.types import (
+    FloatArray,
+    Pair,
+    Prepared,
+    RetargetProblem,
+    RetargetResult,
+    SolveInfo,
+    Status,
+)
+from synth_data.dataset import Dataset
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One row of the table, on one pair, with one draw of n_examples examples."""
+
+    id: str
+    row: Row
+    source: str
+    target: str
+    n_examples: int
+    draw: int
+    keep_frames: bool = False
+
+
+@dataclass(frozen=True)
+class PairTask:
+    """The cells of one pair that are still to be computed, with all that they need."""
+
+    study: Study
+    dataset: Dataset
+    metrics: tuple[Metric, ...]
+    cells: tuple[Cell, ...]
+    folder: Path
+    code: str
+
+
+@dataclass(frozen=True)
+class _Case:
+    """What one draw and example count ask of every method."""
+
+    problem: RetargetProblem
+    source: FloatArray  # (t, n, 3) mm, to be retargeted
+    truth: FloatArray  # (t, n, 3) mm, never shown to a method
+    expressions: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Answer:
+    result: RetargetResult
+    fit_seconds: float
+    seconds_per_expression: float
+
+
+class _Refused(Exception):
+    """A method has a reason not to serve a problem."""
+
+
+def evaluate_pair(task: PairTask) -> int:
+    """Compute and record every cell of the task; returns their number."""
+    first = task.cells[0]
+    source = _Performer(task.dataset, first.source)
+    target = _Performer(task.dataset, first.target)
+    pair = Pair(task.dataset.faces, source.neutral, target.neutral, task.dataset.regions)
+    for row, cells in _by_row(task.cells):
+        prepared, prepare_seconds, failure = _prepare(row, pair)
+        for cell in cells:
+            case = _case(task.study, cell, pair, source, target)
+            header = {"prepare_seconds": prepare_seconds, "fit_seconds": None, "seconds_per_expression": None}
+            answer: _Answer | None = None
+            status, reason = "failed", failure
+            if failure is None:
+                try:
+                    answer = _answer(row, prepared, pair, case)
+                    status, reason = _verdict(answer.result)
+                    header |= {
+                        "fit_seconds": answer.fit_seconds,
+                        "seconds_per_expression": answer.seconds_per_expression,
+                    }
+                except _Refused as refusal:
+                    status, reason = "unsupported", str(refusal)
+                except Exception as error:  # a method's failure is a result of the study, never its end
+                    status, reason = "failed", f"{type(error).__name__}: {error}"
+            usable = answer if status in ("ok", "not_converged") else None
+            _record(task, cell, case, pair, usable, status, reason, header)
+    return len(task.cells)
+
+
+def _by_row(cells: Sequence[Cell]) -> list[tuple[Row, list[Cell]]]:
+    rows: dict[str, tuple[Row, list[Cell]]] = {}
+    for cell in cells:
+        rows.setdefault(cell.row.name, (cell.row, []))[1].append(cell)
+    return list(rows.values())
+
+
+class _Performer:
+    """An identity of the dataset and its performance of all expressions, computed once per pair."""
+
+    def __init__(self, dataset: Dataset, identity: str) -> None:
+        self.neutral = dataset.neutral(identity)
+        self.names = dataset.expressions
+        self.performance = dataset.frames(identity, range(len(dataset.expressions)))
+
+    def perform(self, indices: Sequence[int]) -> FloatArray:
+        return self.performance[list(indices)]
+
+
+def _case(study: Study, cell: Cell, pair: Pair, source: _Performer, target: _Performer) -> _Case:
+    drawn: Draw = draw(cell.source, cell.target, cell.draw, len(source.names), study.test_expressions, study.seed)
+    examples = drawn.examples(cell.n_examples)
+    known = Known(source_examples=source.perform(examples))
+    return _Case(
+        problem=RetargetProblem(
+            faces=pair.faces,
+            source_neutral=pair.source_neutral,
+            target_neutral=pair.target_neutral,
+            source_animation=source.perform(drawn.test) if study.span == "five" else source.performance,
+            target_examples=target.perform(examples),
+            source_examples=correspondence(study.correspondence)(known),
+            regions=pair.regions,
+        ),
+        source=source.perform(drawn.test),
+        truth=target.perform(drawn.test),
+        expressions=tuple(source.names[i] for i in drawn.test),
+    )
+
+
+def _prepare(row: Row, pair: Pair) -> tuple[Prepared | None, float | None, str | None]:
+    """(prepared, seconds, reason of a failure)."""
+    if row.method is None:
+        return None, None, None
+    start = time.perf_counter()
+    try:
+        prepared = row.method.prepare(pair)
+    except Exception as error:
+        return None, None, f"prepare: {type(error).__name__}: {error}"
+    return prepared, time.perf_counter() - start, None
+
+
+def _answer(row: Row, prepared: Prepared | None, pair: Pair, case: _Case) -> _Answer:
+    if row.method is None or prepared is None:
+        frames = REFERENCES[row.name](pair, case.problem.target_examples, case.truth)
+        return _Answer(RetargetResult(frames, (SolveInfo(),) * len(frames)), float("nan"), float("nan"))
+    if reason := row.method.unsupported(case.problem):
+        raise _Refused(reason)
+    start = time.perf_counter()
+    fitted = prepared.fit(case.problem.examples, case.problem.source_animation)
+    fitted_at = time.perf_counter()
+    result = fitted(case.source)
+    done = time.perf_counter()
+    return _Answer(_checked(result, case), fitted_at - start, (done - fitted_at) / max(len(case.source), 1))
+
+
+def _checked(result: RetargetResult, case: _Case) -> RetargetResult:
+    if result.frames.shape != case.truth.shape:
+        raise InvalidInput(f"frames: expected {case.truth.shape}, the method returned {result.frames.shape}.")
+    if len(result.info) != len(case.truth):
+        raise InvalidInput(f"info: expected {len(case.truth)} entries, the method returned {len(result.info)}.")
+    if not np.isfinite(result.frames).all():
+        raise InvalidInput("frames: the method returned NaN or infinite vertices.")
+    return result
+
+
+def _verdict(result: RetargetResult) -> tuple[str, str]:
+    if failed := [info.message for info in result.info if info.status is Status.FAILED]:
+        return "failed", f"{len(failed)} of {len(result.info)} solves failed: {failed[0] or 'no reason given'}"
+    if late := sum(info.status is Status.MAX_ITERATIONS for info in result.info):
+        return "not_converged", f"{late} of {len(result.info)} solves stopped at their iteration limit"
+    return "ok", ""
+
+
+def _record(
+    task: PairTask,
+    cell: Cell,
+    case: _Case,
+    pair: Pair,
+    answer: _Answer | None,
+    status: str,
+    reason: str | None,
+    timings: dict[str, Any],
+) -> None:
+    frames = case.truth if answer is None else answer.result.frames
+    comparison = Comparison(
+        frames, case.truth, case.source, pair.source_neutral, pair.target_neutral, pair.faces, pair.regions
+    )
+    measurements = [measurement for metric in task.metrics for measurement in metric(comparison)]
+    header = {
+        "schema": SCHEMA,
+        "cell": cell.id,
+        "code": task.code,
+        "data": task.dataset.fingerprint,
+        "status": status,
+        "reason": reason or "",
+        "settings": dict(cell.row.settings),
+        "prediction": None if answer is None else hashlib.sha256(np.ascontiguousarray(frames).tobytes()).hexdigest(),
+        "solves": [] if answer is None else [_solve(info) for info in answer.result.info],
+        "directions": {measurement.metric: measurement.direction for measurement in measurements},
+        "peak_memory_mb": _peak_memory_mb(),
+        **{key: value if value is None or np.isfinite(value) else None for key, value in timings.items()},
+    }
+    folder = task.folder / cell.id
+    if cell.keep_frames and answer is not None:
+        _write_frames(folder / FRAMES, case, pair, answer.result)
+    write_record(folder, Record(header, _rows(task, cell, case, measurements, status, answer is None)))
+
+
+def _solve(info: SolveInfo) -> dict[str, Any]:
+    return {
+        "status": str(info.status),
+        "iterations": info.iterations,
+        "energy": list(info.energy),
+        "message": info.message,
+    }
+
+
+def _rows(
+    task: PairTask, cell: Cell, case: _Case, measurements: Sequence[Measurement], status: str, empty: bool
+) -> pd.DataFrame:
+    """Tidy rows; the values of a cell without an answer are NaN, so that it shows as such and never as a blank."""
+    conditions = task.dataset.conditions
+    blocks = [
+        pd.DataFrame(
+            {
+                "expression": case.expressions,
+                "metric": measurement.metric,
+                "region": measurement.region,
+                "value": np.nan if empty else measurement.values,
+                "unit": measurement.unit,
+            }
+        )
+        for measurement in measurements
+    ]
+    rows = pd.concat(blocks, ignore_index=True)
+    return rows.assign(
+        method=cell.row.name,
+        source=cell.source,
+        target=cell.target,
+        n_examples=cell.n_examples,
+        draw=cell.draw,
+        dataset=conditions.dataset,
+        truth=conditions.truth,
+        weights=conditions.weights,
+        noise_mm=conditions.noise_mm,
+        correspondence=task.study.correspondence,
+        status=status,
+    )[list(METRIC_COLUMNS)]
+
+
+def _write_frames(path: Path, case: _Case, pair: Pair, result: RetargetResult) -> None:
+    """Frames for the report's figures, so that they rebuild without running a method."""
+    arrays: dict[str, Any] = {
+        "faces": pair.faces.astype(np.int32),
+        "source_neutral": pair.source_neutral.astype(np.float32),
+        "target_neutral": pair.target_neutral.astype(np.float32),
+        "source": case.source.astype(np.float32),
+        "truth": case.truth.astype(np.float32),
+        "retargeted": result.frames.astype(np.float32),
+        "expressions": np.array(case.expressions),
+        "region_head": np.asarray(pair.regions.vertices.get("head", np.arange(len(pair.source_neutral)))),
+    } | {f"part_{name}": part.astype(np.float32) for name, part in result.parts.items()}
+
+    def save(temporary: Path) -> None:
+        with temporary.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+
+    write_whole(path, save)
+
+
+def _peak_memory_mb() -> float:
+    """Highest resident memory of this process so far, in MB; NaN-free: 0 where the platform does not tell."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        warnings.warn("peak memory is not measured on this platform", stacklevel=2)
+        return 0.0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (2**20 if sys.platform == "darwin" else 2**10)

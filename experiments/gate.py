@@ -1,0 +1,140 @@
+"""Accuracy gates: values under version control that a finished study must reproduce, from both sides."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import yaml
+from omegaconf import DictConfig
+from rich.console import Console
+from rich.table import Table
+
+from experiments.catalogue import CONF
+from experiments.record import write_whole
+from retarget.check import InvalidInput
+
+GATES = CONF.parent / "gates"
+SIGNED_TOLERANCE_MM = 0.01  # a constant offset hardly moves a mean distance, so the signed error is held tightly
+RELATIVE_TOLERANCE = 0.02  # of the value, for distances: room for other CPUs and library versions, none for a change
+
+
+@dataclass(frozen=True)
+class Gate:
+    """mean over a study's cells of one metric, with its two-sided tolerance."""
+
+    method: str
+    n_examples: int
+    metric: str
+    region: str
+    value: float
+    tolerance: float
+    unit: str
+    direction: str  # what is better; the gate fails on either side
+    reason: str
+    origin: str
+
+
+@dataclass(frozen=True)
+class Verdict:
+    gate: Gate
+    measured: float | None  # None: the study has no such row, or a cell of it has no answer
+
+    @property
+    def passed(self) -> bool:
+        return self.measured is not None and abs(self.measured - self.gate.value) <= self.gate.tolerance
+
+
+def gate(folder: Path, config: DictConfig, console: Console) -> bool:
+    """Print the table of gates; True if all hold. Raises InvalidInput where there is nothing to compare."""
+    metrics = _metrics(folder)
+    path = Path(config.gates).absolute() if config.gates else GATES / f"{config.study}.yaml"
+    if config.propose:
+        proposal = propose(metrics, origin=f"study={config.study}")
+        text = yaml.safe_dump([asdict(entry) for entry in proposal], sort_keys=False, width=120)
+        write_whole(Path(config.propose).absolute(), lambda temporary: temporary.write_text(text) and None)
+        console.print(f"{len(proposal)} gates proposed in {config.propose}; review them before they replace {path}.")
+        return True
+    verdicts = compare(metrics, read_gates(path))
+    _print(verdicts, console)
+    return all(verdict.passed for verdict in verdicts)
+
+
+def read_gates(path: Path) -> list[Gate]:
+    """Raises InvalidInput for a missing file or an entry with other keys than a Gate's."""
+    if not path.exists():
+        raise InvalidInput(f"{path}: no gates file. Choose one with gates=FILE, or write one with propose=FILE.")
+    entries = yaml.safe_load(path.read_text(encoding="utf-8"))
+    try:
+        return [Gate(**entry) for entry in entries]
+    except TypeError as error:
+        raise InvalidInput(
+            f"{path}: expected a list of gates with {', '.join(Gate.__annotations__)}; {error}."
+        ) from None
+
+
+def compare(metrics: pd.DataFrame, gates: Iterable[Gate]) -> list[Verdict]:
+    """One verdict per gate."""
+    means = _means(metrics)
+    return [Verdict(entry, means.get((entry.method, entry.n_examples, entry.metric, entry.region))) for entry in gates]
+
+
+def propose(metrics: pd.DataFrame, origin: str) -> list[Gate]:
+    """Gates that hold the primary distance of every row, and every signed error over the head."""
+    units: Mapping[str, str] = metrics.drop_duplicates("metric").set_index("metric")["unit"].to_dict()
+    proposal = []
+    for (method, n_examples, metric, region), value in _means(metrics).items():
+        signed = metric.startswith("signed_error")
+        if value is None or not (signed or metric == "vertex_l2_mean"):
+            continue
+        proposal.append(
+            Gate(
+                method,
+                n_examples,
+                metric,
+                region,
+                round(value, 5),
+                SIGNED_TOLERANCE_MM if signed else round(max(RELATIVE_TOLERANCE * value, 1e-4), 5),
+                units[metric],
+                "zero" if signed else "lower",
+                "a constant offset shows here first" if signed else "accuracy as measured when the gate was set",
+                origin,
+            )
+        )
+    return proposal
+
+
+def _metrics(folder: Path) -> pd.DataFrame:
+    path = folder / "metrics.parquet"
+    if not path.exists():
+        raise InvalidInput(
+            f"{path}: no finished study there. Run `python -m experiments run study={folder.name}` first."
+        )
+    return pd.read_parquet(path)
+
+
+def _means(metrics: pd.DataFrame) -> dict[tuple[Any, ...], float | None]:
+    groups = metrics.groupby(["method", "n_examples", "metric", "region"], sort=False)["value"]
+    return {key: None if values.isna().any() else float(values.mean()) for key, values in groups}
+
+
+def _print(verdicts: list[Verdict], console: Console) -> None:
+    table = Table(title="Accuracy gates", title_justify="left")
+    for name in ("method", "examples", "metric", "region"):
+        table.add_column(name)
+    for name in ("expected", "tolerance", "measured", ""):
+        table.add_column(name, justify="right")
+    for verdict in sorted(verdicts, key=lambda verdict: verdict.passed):
+        entry = verdict.gate
+        measured = "missing" if verdict.measured is None else f"{verdict.measured:.4f}"
+        mark = "[green]ok[/green]" if verdict.passed else "[bold red]FAIL[/bold red]"
+        table.add_row(
+            entry.method, str(entry.n_examples), entry.metric, entry.region,
+            f"{entry.value:.4f}", f"±{entry.tolerance:.4f} {entry.unit}", measured, mark,
+        )  # fmt: skip
+    console.print(table)
+    failed = sum(not verdict.passed for verdict in verdicts)
+    console.print(f"{len(verdicts) - failed} gates hold, {failed} fail")

@@ -1,0 +1,53 @@
+"""What a metric gets and what it answers."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from retarget.check import InvalidInput
+from retarget.types import FloatArray, IntArray, Regions
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One cell's answer beside the truth. No prediction is aligned before a metric."""
+
+    retargeted: FloatArray  # (t, n, 3) mm
+    truth: FloatArray  # (t, n, 3) mm
+    source: FloatArray  # (t, n, 3) mm, the source's frames
+    source_neutral: FloatArray  # (n, 3) mm
+    target_neutral: FloatArray  # (n, 3) mm
+    faces: IntArray  # (f, 3)
+    regions: Regions
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One number per frame."""
+
+    metric: str
+    region: str
+    unit: str
+    direction: str  # "lower", "higher" or "zero": what is better
+    values: FloatArray  # (t,)
+
+
+class Metric(ABC):
+    """A frozen dataclass of settings that Hydra makes from ``conf/metric/*.yaml``."""
+
+    @abstractmethod
+    def __call__(self, comparison: Comparison) -> Iterator[Measurement]:
+        """Measure every frame."""
+
+
+def region_vertices(regions: Regions, names: Sequence[str]) -> Iterator[tuple[str, IntArray]]:
+    """The named vertex sets; raises InvalidInput for one that this topology does not have."""
+    for name in names:
+        if name not in regions.vertices:
+            raise InvalidInput(
+                f"metric region '{name}': this dataset has {', '.join(sorted(regions.vertices))}. "
+                "Choose among these with metric.<name>.regions=[...]."
+            )
+        yield name, regions.vertices[name]

@@ -1,0 +1,69 @@
+"""Overrides are checked before Hydra composes them, so that a misspelt one is refused with the nearest valid one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from hydra import compose, initialize_config_module
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+
+from experiments.catalogue import GROUPS, options
+from experiments.suggest import choose, nearest
+from retarget.check import InvalidInput
+
+_HYDRA_GROUPS = ("hydra", "paths")
+
+
+def check_overrides(config_name: str, arguments: Sequence[str]) -> None:
+    """Raises InvalidInput for an unknown option of a group, or a key that the chosen options do not have."""
+    try:
+        overrides = OverridesParser.create().parse_overrides([a for a in arguments if not a.startswith("-")])
+    except HydraException as error:
+        raise InvalidInput(f"cannot read the command line: {error}") from error
+    choices = [override for override in overrides if override.key_or_group in GROUPS]
+    for override in choices:
+        for name in _chosen(override):
+            choose(override.key_or_group, name, options(override.key_or_group))
+    keys = set(_keys(_composed(config_name, [_first(override) for override in choices])))
+    for override in overrides:
+        key = override.key_or_group
+        plain = not (override.is_add() or override.is_force_add() or override.is_delete())
+        if plain and key not in GROUPS and key.split(".")[0].split("/")[0] not in _HYDRA_GROUPS and key not in keys:
+            raise InvalidInput(
+                f"'{key}' is no setting of this command.{nearest(key, [*keys, *GROUPS])} "
+                f"`python -m experiments {config_name} --cfg job` prints all settings."
+            )
+
+
+def _chosen(override: Override) -> Iterator[str]:
+    """Every option that an override (or a sweep over it) names."""
+    values = override.sweep_iterator() if override.is_sweep_override() else [override.value()]
+    for value in values:
+        for name in value if isinstance(value, list) else [value]:
+            yield str(name).strip("'\"[] ")
+
+
+def _first(override: Override) -> str:
+    """The override itself, or the first choice of a sweep."""
+    if not override.is_sweep_override():
+        return str(override.input_line)
+    return f"{override.key_or_group}={next(iter(override.sweep_string_iterator()))}"
+
+
+def _composed(config_name: str, overrides: list[str]) -> DictConfig:
+    GlobalHydra.instance().clear()
+    with initialize_config_module("experiments.conf", version_base="1.3"):
+        return compose(config_name, overrides)
+
+
+def _keys(config: DictConfig, prefix: str = "") -> Iterator[str]:
+    for name in config:
+        key = f"{prefix}{name}"
+        yield key
+        value = OmegaConf.to_container(config)[name] if OmegaConf.is_missing(config, name) else config._get_node(name)
+        if isinstance(value, DictConfig):
+            yield from _keys(value, f"{key}.")

@@ -1,0 +1,100 @@
+"""A study expanded into its cells, eagerly, before anything runs."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from experiments.evaluate import Cell, PairTask
+from experiments.metrics.metric import Metric
+from experiments.protocol import check_counts
+from experiments.record import SCHEMA, digest, read_header
+from experiments.study import Row, Study
+from experiments.suggest import choose
+from experiments.version import code_hash
+from retarget.check import InvalidInput, check_faces, check_frames, check_triangle_areas, check_vertices
+from synth_data.dataset import Dataset
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All cells of a study, in the order of its table."""
+
+    study: Study
+    dataset: Dataset
+    metrics: tuple[Metric, ...]
+    rows: tuple[Row, ...]
+    cells: tuple[Cell, ...]
+    folder: Path
+
+    def finished(self, cell: Cell) -> Mapping[str, Any] | None:
+        """The header of a cell whose record is there and current; raises InvalidInput for an old schema."""
+        header = read_header(self.folder / cell.id)
+        if header is None or header["code"] != code_hash() or header["data"] != self.dataset.fingerprint:
+            return None
+        return header
+
+    def tasks(self, cells: Sequence[Cell]) -> Iterator[PairTask]:
+        """The unit of work: one for each pair that has a cell among `cells`."""
+        for _, group in itertools.groupby(cells, key=lambda cell: (cell.source, cell.target)):
+            yield PairTask(self.study, self.dataset, self.metrics, tuple(group), self.folder, code_hash())
+
+
+def plan(
+    study: Study,
+    dataset: Dataset,
+    methods: Sequence[Row],
+    metrics: Mapping[str, tuple[Metric, Mapping[str, Any]]],
+    folder: Path,
+) -> Plan:
+    """Expand a study; `metrics` holds each metric with its settings. Raises InvalidInput if it cannot be run."""
+    check_dataset(dataset)
+    check_counts(len(dataset.expressions), study.test_expressions, study.n_examples)
+    if not methods:
+        raise InvalidInput("method: expected at least one, got none; choose with 'method=[plbs,delta]'.")
+    rows = (*methods, *(Row(name, {"reference": name}) for name in study.references))
+    choose("study.reference", study.reference, [row.name for row in methods])
+    pairs = list(itertools.permutations(dataset.identities, 2))
+    protocol = {
+        "schema": SCHEMA,
+        "conditions": asdict(dataset.conditions),
+        "seed": study.seed,
+        "test_expressions": study.test_expressions,
+        "correspondence": study.correspondence,
+        "span": study.span,
+        "metrics": {name: dict(settings) for name, (_, settings) in metrics.items()},
+    }
+    cells = []
+    for number, (source, target) in enumerate(pairs):
+        for row, n_examples, draw in itertools.product(rows, study.n_examples, range(study.draws)):
+            keep = number < study.figures.pairs and draw < study.figures.draws
+            identity = {
+                "protocol": protocol,
+                "row": row.name,
+                "settings": dict(row.settings),
+                "pair": [source, target],
+                "n_examples": n_examples,
+                "draw": draw,
+                "frames": keep,
+            }
+            cells.append(Cell(digest(identity)[:20], row, source, target, n_examples, draw, keep))
+    return Plan(study, dataset, tuple(metric for metric, _ in metrics.values()), rows, tuple(cells), folder)
+
+
+def check_dataset(dataset: Dataset) -> None:
+    """Raises InvalidInput for data that no study can use, naming the identity."""
+    if len(dataset.identities) < 2:
+        raise InvalidInput(
+            f"dataset: {len(dataset.identities)} identities, expected at least 2: one performs, the other retargets. "
+            "Raise dataset.identities, or add a second folder."
+        )
+    count = len(dataset.neutral(dataset.identities[0]))
+    faces = check_faces(f"{dataset.conditions.dataset}: faces", dataset.faces, count)
+    everything = range(len(dataset.expressions))
+    for identity in dataset.identities:
+        neutral = check_vertices(f"{identity}, neutral", dataset.neutral(identity), count)
+        check_triangle_areas(f"{identity}, neutral", neutral, faces)
+        check_frames(f"{identity}, expressions", dataset.frames(identity, everything), count)

@@ -1,0 +1,56 @@
+"""Live progress with the remaining time on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+Advance = Callable[[int], None]
+PLAIN_LINES_EVERY_SECONDS = 5.0
+
+
+def duration(seconds: float) -> str:
+    """1:02:03 or 2:03."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+
+
+@contextmanager
+def progress(console: Console, title: str, total: int) -> Iterator[Advance]:
+    """Yields a function that is told how many more items are done."""
+    if console.is_terminal:
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            TextColumn("remaining"),
+            TimeRemainingColumn(),
+        )
+        with Progress(*columns, console=console) as bar:
+            task = bar.add_task(title, total=total)
+            yield lambda count: bar.advance(task, count)
+    else:
+        yield _plain(console, title, total)
+
+
+def _plain(console: Console, title: str, total: int) -> Advance:
+    start = time.monotonic()
+    done, printed = 0, start
+
+    def advance(count: int) -> None:
+        nonlocal done, printed
+        done += count
+        now = time.monotonic()
+        if done >= total or now - printed >= PLAIN_LINES_EVERY_SECONDS:
+            elapsed = now - start
+            remaining = elapsed / max(done, 1) * (total - done)
+            console.print(f"{title}: {done}/{total}, {duration(elapsed)} elapsed, {duration(remaining)} remaining")
+            printed = now
+
+    return advance

@@ -1,0 +1,46 @@
+"""Which expressions are tested and which serve as examples: nested, seeded, shared by all methods."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from retarget.check import InvalidInput
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One draw of a pair: test expressions held out, and an order in which the others become examples."""
+
+    number: int
+    test: tuple[int, ...]  # indices of expressions, fixed across example counts
+    order: tuple[int, ...]  # a permutation of the other expressions
+
+    def examples(self, count: int) -> tuple[int, ...]:
+        """The first `count` of the order: 5 examples lie within 15 within 30."""
+        return self.order[:count]
+
+
+def draw(source: str, target: str, number: int, expressions: int, test_expressions: int, seed: int) -> Draw:
+    """The draw with this number of the ordered pair; depends on nothing but its arguments."""
+    entropy = [seed, zlib.crc32(source.encode()), zlib.crc32(target.encode()), number]
+    order = np.random.default_rng(np.random.SeedSequence(entropy)).permutation(expressions).tolist()
+    return Draw(number, tuple(sorted(order[:test_expressions])), tuple(order[test_expressions:]))
+
+
+def check_counts(expressions: int, test_expressions: int, n_examples: Sequence[int]) -> None:
+    """Raises InvalidInput where the dataset has too few expressions for the study."""
+    if not n_examples or min(n_examples) < 0:
+        raise InvalidInput(f"study.n_examples: expected counts of 0 or more, got {list(n_examples)}.")
+    if test_expressions < 1:
+        raise InvalidInput(f"study.test_expressions: expected at least 1, got {test_expressions}.")
+    available = expressions - test_expressions
+    if max(n_examples) > available:
+        raise InvalidInput(
+            f"study.n_examples: {max(n_examples)} examples asked for, but the dataset has {expressions} expressions, "
+            f"of which {test_expressions} are held out for the test. Ask for at most {max(available, 0)}, "
+            "or use a dataset with more expressions."
+        )

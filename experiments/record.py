@@ -1,0 +1,116 @@
+"""One Parquet file per cell: rows of metrics, and a header that says how they came about.
+
+A record is written to a temporary name and moved into place, so that a file which exists is whole. A finished
+cell is reused only if its id, the code version and the data fingerprint match.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from retarget.check import InvalidInput
+
+SCHEMA = 1
+RECORD = "record.parquet"
+FRAMES = "frames.npz"
+_HEADER = b"experiments.record"
+
+METRIC_COLUMNS = (
+    "method", "source", "target", "n_examples", "draw", "expression", "metric", "region", "value", "unit",
+    "dataset", "truth", "weights", "noise_mm", "correspondence", "status",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Record:
+    """What one cell left behind.
+
+    header: schema, cell (id), code, data (fingerprint), status, reason, config, versions, prediction (SHA-256 of
+    the retargeted frames), solves (status per frame), directions, prepare_seconds, fit_seconds,
+    seconds_per_expression, peak_memory_mb.
+    rows: the columns METRIC_COLUMNS, one row per expression, metric and region.
+    """
+
+    header: Mapping[str, Any]
+    rows: pd.DataFrame
+
+
+def digest(content: Any) -> str:
+    """SHA-256 of plain data, independent of key order."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def write_record(folder: Path, record: Record) -> None:
+    """Write folder/record.parquet whole or not at all. Raises InvalidInput if the disk refuses."""
+    table = pa.Table.from_pandas(record.rows, preserve_index=False)
+    table = table.replace_schema_metadata({**(table.schema.metadata or {}), _HEADER: json.dumps(record.header)})
+    write_whole(folder / RECORD, lambda temporary: pq.write_table(table, temporary))
+
+
+def read_record(folder: Path) -> Record | None:
+    """The record in a cell's folder, or None where there is none.
+
+    Raises InvalidInput for a file of another schema or one that is not a record.
+    """
+    path = folder / RECORD
+    if not path.exists():
+        return None
+    return _decode(path, pq.read_table, lambda table: table.to_pandas())
+
+
+def read_header(folder: Path) -> Mapping[str, Any] | None:
+    """The header alone: enough to decide whether a cell is finished."""
+    path = folder / RECORD
+    if not path.exists():
+        return None
+    return _decode(path, pq.read_schema, lambda schema: pd.DataFrame()).header
+
+
+def _decode(path: Path, read: Callable[[Path], Any], rows: Callable[[Any], pd.DataFrame]) -> Record:
+    try:
+        content = read(path)
+        metadata = (content.schema if isinstance(content, pa.Table) else content).metadata or {}
+        header = json.loads(metadata[_HEADER])
+    except (pa.ArrowException, KeyError, ValueError) as error:
+        raise InvalidInput(
+            f"{path}: expected a record of this program, got a file that cannot be read as one ({error}). "
+            "Move it away; the cell will then be computed again."
+        ) from error
+    if header.get("schema") != SCHEMA:
+        raise InvalidInput(
+            f"{path}: this record has schema {header.get('schema')}, this version reads and writes schema {SCHEMA}. "
+            "Nothing was overwritten. Move the results folder away, or choose another with paths.results=FOLDER."
+        )
+    return Record(header, rows(content))
+
+
+def write_whole(path: Path, write: Callable[[Path], None]) -> None:
+    """Call write(temporary) and move the result to path: the file is whole or absent.
+
+    Raises InvalidInput for a full disk or a folder that cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(temporary)
+        os.replace(temporary, path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True) if path.parent.is_dir() else None
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        what = "the disk is full" if full else f"it cannot be written ({error.strerror or error})"
+        remedy = "Free some space" if full else "Make the folder writable or choose another with paths.results=FOLDER"
+        raise InvalidInput(
+            f"{path}: {what}. Finished cells are kept and no file is half written. {remedy}, "
+            "then start the same command again: it continues where it stopped."
+        ) from error
