@@ -1,0 +1,150 @@
+"""Deformation transfer between two characters in one topology, as a prefactored linear system.
+
+Sumner and Popovic 2004 ask for target vertices x, and a fourth vertex x4 for each triangle, that minimise
+
+    sum_j w_j || Q_j - [x2 - x1, x3 - x1, x4 - x1] V_j^-1 ||_F^2
+
+where Q_j is the deformation gradient of source triangle j and V_j the rest frame of target triangle j.
+
+The fourth vertices drop out. The third column of V_j is normal to the triangle, so the first two rows of V_j^-1, the
+gradients g2 and g3 of hat functions, lie in its plane, and the third is along its unit normal n. With P = I - n n^T
+the term splits into orthogonal parts:
+
+    || Q_j P - (x2 - x1) g2^T - (x3 - x1) g3^T ||^2  +  || Q_j n - (x4 - x1) / |v4 - v1| ||^2.
+
+x4 occurs in this one term alone and makes the second part zero. What remains is a Poisson system over the n vertices,
+with the whole 3x3 gradient of the source on the right (P tilts it into the target's plane, which brings in the
+source's normal):
+
+    (G_T^T W G_T) x = G_T^T W [Q_1^T; Q_2^T; ...].
+
+With w_j = 1 this is the form of 2004 exactly, and with w_j = the area of the target triangle the gradient transfer of
+Botsch, Sumner, Pauly and Gross 2006, "Deformation transfer for detail-preserving surface editing", who noted that
+the two differ in the weights alone. Since [Q_j^T] = G_S y + N_S nu(y) for source vertices y (see
+`retarget.geometry.triangles.gradient_operators`), the right-hand side is two sparse matrices, made once, that act on
+the source's displacements and on the change of its fourth edges nu.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+import numpy as np
+import scipy.sparse as sp
+
+from retarget.check import InvalidInput, check_faces, check_frames, check_triangle_areas, check_vertices
+from retarget.geometry.cholesky import CholeskyFactor
+from retarget.geometry.graph import components, vertex_adjacency
+from retarget.geometry.triangles import areas, fourth_edges, gradient_operators
+from retarget.types import FloatArray, IntArray, Pair
+
+CHUNK = 8  # frames per solve: fastest where measured (4 to 8), and bounds the memory
+STILL = 0.05  # share of a component's vertices that serve as its anchors where none are given
+
+
+class Weighting(StrEnum):
+    """Weight of a triangle in the sum."""
+
+    UNIFORM = "uniform"  # Sumner and Popovic 2004
+    AREA = "area"  # Botsch et al. 2006
+
+
+class DeformationTransfer:
+    """dt(source expression, source neutral, target neutral) for many expressions.
+
+    source, target   (n, 3) neutrals in mm
+    faces            (f, 3)
+    anchors          vertices that fix the translation, for example the cranium; may be empty
+
+    The energy leaves each connected component free to translate. One of its vertices is pinned for the solve, then
+    the component is moved so that on average its anchors are displaced as in the source, times the ratio of the
+    bounding boxes' diagonals. This makes the transfer to itself and to a scaled copy exact, whatever the anchors do.
+    A component without anchors uses those of its vertices that move least in the expression at hand.
+
+    Raises InvalidInput for meshes that do not fit together, degenerate triangles, and anchors outside of the mesh.
+    """
+
+    def __init__(
+        self,
+        source: FloatArray,
+        target: FloatArray,
+        faces: IntArray,
+        anchors: IntArray,
+        weighting: Weighting | str = Weighting.UNIFORM,
+    ) -> None:
+        source = check_vertices("source_neutral", source)
+        n = len(source)
+        target = check_vertices("target_neutral", target, n)
+        faces = check_faces("faces", faces, n)
+        check_triangle_areas("source_neutral", source, faces)
+        check_triangle_areas("target_neutral", target, faces)
+        anchors = np.asarray(anchors, dtype=np.int64)
+        if len(anchors) and not 0 <= anchors.min() <= anchors.max() < n:
+            raise InvalidInput(
+                f"anchors: expected vertex indices from 0 to {n - 1}, got {anchors.min()} to {anchors.max()}; "
+                "the region belongs to another topology."
+            )
+
+        self.source, self.target, self.faces = source, target, faces
+        self.size_ratio = float(np.linalg.norm(np.ptp(target, axis=0)) / np.linalg.norm(np.ptp(source, axis=0)))
+        self._source_fourth = fourth_edges(source, faces)
+        self._components = components(vertex_adjacency(faces, n))
+        self._anchors = [np.intersect1d(piece, anchors, assume_unique=False) for piece in self._components]
+
+        weight = areas(target, faces) if Weighting(weighting) is Weighting.AREA else np.ones(len(faces))
+        target_gradient, _ = gradient_operators(target, faces)
+        source_gradient, source_normal = gradient_operators(source, faces)
+        divergence = (target_gradient.T @ sp.diags_array(np.repeat(weight, 3))).tocsr()
+        pinned = np.array([piece[0] for piece in self._components])
+        self._free = np.setdiff1d(np.arange(n), pinned)
+        self._from_displacements = (divergence @ source_gradient).tocsr()[self._free]
+        self._from_fourth = (divergence @ source_normal).tocsr()[self._free]
+        laplacian = (divergence @ target_gradient).tocsr()
+        self._factor = CholeskyFactor(laplacian[self._free][:, self._free], "deformation transfer")
+
+    @classmethod
+    def of(cls, pair: Pair, weighting: Weighting | str) -> DeformationTransfer:
+        """The transfer between a pair, anchored on its region ``cranium`` where the topology names one."""
+        anchors = pair.regions.vertices.get("cranium", np.empty(0, dtype=np.int64))
+        return cls(pair.source_neutral, pair.target_neutral, pair.faces, anchors, weighting)
+
+    def __call__(self, source_frames: FloatArray) -> FloatArray:
+        """Target expressions (t, n, 3) in mm for source expressions (t, n, 3) in mm."""
+        return self.target + self.displacements(source_frames)
+
+    def displacements(self, source_frames: FloatArray) -> FloatArray:
+        """dt(source_frames) - target neutral: (t, n, 3) in mm."""
+        source_frames = check_frames("source_frames", source_frames, len(self.source))
+        moved = np.empty_like(source_frames)
+        for start in range(0, len(source_frames), CHUNK):
+            part = slice(start, start + CHUNK)
+            moved[part] = self._displacements(source_frames[part])
+        return moved
+
+    def _displacements(self, frames: FloatArray) -> FloatArray:
+        n, t = len(self.source), len(frames)
+        by_vertex = np.ascontiguousarray(frames.transpose(1, 0, 2))  # (n, t, 3)
+        source_moved = by_vertex - self.source[:, None]
+        fourth_moved = fourth_edges(by_vertex, self.faces) - self._source_fourth[:, None]
+        rhs = self._from_displacements @ source_moved.reshape(n, -1)
+        rhs += self._from_fourth @ fourth_moved.reshape(len(self.faces), -1)
+        target_moved = np.zeros((n, 3 * t))
+        target_moved[self._free] = self._factor.solve(rhs)
+        target_moved = target_moved.reshape(n, t, 3)
+        self._translate(target_moved, self.size_ratio * source_moved)
+        return target_moved.transpose(1, 0, 2)
+
+    def _translate(self, moved: FloatArray, wanted: FloatArray) -> None:
+        """Shift each component of moved (n, t, 3) so that its anchors have the mean displacement of `wanted`."""
+        for piece, anchors in zip(self._components, self._anchors, strict=True):
+            if len(anchors):
+                moved[piece] += (wanted[anchors] - moved[anchors]).mean(axis=0)
+                continue
+            still = _stillest(np.linalg.norm(wanted[piece], axis=-1))[..., None]  # (m, t, 1)
+            moved[piece] += np.sum(still * (wanted[piece] - moved[piece]), axis=0) / still.sum(axis=0)
+
+
+def _stillest(motion: FloatArray) -> FloatArray:
+    """(m, t) mask with ones for the 5 % of the m vertices that move least in each frame, and for all that tie."""
+    count = max(1, round(STILL * len(motion)))
+    return (motion <= np.partition(motion, count - 1, axis=0)[count - 1]).astype(np.float64)
