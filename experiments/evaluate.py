@@ -18,7 +18,7 @@ from experiments.correspondence import Known, correspondence
 from experiments.metrics.metric import Comparison, Measurement, Metric
 from experiments.protocol import Draw, draw
 from experiments.record import FRAMES, METRIC_COLUMNS, SCHEMA, Record, write_record, write_whole
-from experiments.references import REFERENCES
+from experiments.references import REFERENCES, PreparedReference
 from experiments.study import Row, Study
 from retarget.check import InvalidInput
 from retarget.types import (
@@ -94,7 +94,7 @@ def evaluate_pair(task: PairTask) -> int:
             status, reason = "failed", failure
             if failure is None:
                 try:
-                    answer = _answer(row, prepared, pair, case)
+                    answer = _answer(row, prepared, case)
                     status, reason = _verdict(answer.result)
                     header |= {
                         "fit_seconds": answer.fit_seconds,
@@ -148,28 +148,29 @@ def _case(study: Study, cell: Cell, pair: Pair, source: _Performer, target: _Per
     )
 
 
-def _prepare(row: Row, pair: Pair) -> tuple[Prepared | None, float | None, str | None]:
+def _prepare(row: Row, pair: Pair) -> tuple[Prepared | PreparedReference | None, float | None, str | None]:
     """(prepared, seconds, reason of a failure)."""
-    if row.method is None:
-        return None, None, None
     start = time.perf_counter()
     try:
-        prepared = row.method.prepare(pair)
+        prepared = REFERENCES[row.name](pair) if row.method is None else row.method.prepare(pair)
     except Exception as error:
         return None, None, f"prepare: {type(error).__name__}: {error}"
     return prepared, time.perf_counter() - start, None
 
 
-def _answer(row: Row, prepared: Prepared | None, pair: Pair, case: _Case) -> _Answer:
-    if row.method is None or prepared is None:
-        frames = REFERENCES[row.name](pair, case.problem.target_examples, case.truth)
-        return _Answer(RetargetResult(frames, (SolveInfo(),) * len(frames)), float("nan"), float("nan"))
-    if reason := row.method.unsupported(case.problem):
+def _answer(row: Row, prepared: Prepared | PreparedReference | None, case: _Case) -> _Answer:
+    if reason := row.method.unsupported(case.problem) if row.method else None:
         raise _Refused(reason)
     start = time.perf_counter()
-    fitted = prepared.fit(case.problem.examples, case.problem.source_animation)
-    fitted_at = time.perf_counter()
-    result = fitted(case.source)
+    if isinstance(prepared, Prepared):
+        fitted = prepared.fit(case.problem.examples, case.problem.source_animation)
+        fitted_at = time.perf_counter()
+        result = fitted(case.source)
+    else:
+        assert prepared is not None  # a failed preparation never comes here
+        fitted_at = start
+        frames = prepared(case.problem.target_examples, case.truth)
+        result = RetargetResult(frames, (SolveInfo(),) * len(frames))
     done = time.perf_counter()
     return _Answer(_checked(result, case), fitted_at - start, (done - fitted_at) / max(len(case.source), 1))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -55,7 +55,7 @@ def gate(folder: Path, config: DictConfig, console: Console) -> bool:
     if config.propose:
         proposal = propose(metrics, origin=f"study={config.study}")
         text = yaml.safe_dump([asdict(entry) for entry in proposal], sort_keys=False, width=120)
-        write_whole(Path(config.propose).absolute(), lambda temporary: temporary.write_text(text) and None)
+        write_whole(Path(config.propose).absolute(), lambda temporary: temporary.write_text(text))
         console.print(f"{len(proposal)} gates proposed in {config.propose}; review them before they replace {path}.")
         return True
     verdicts = compare(metrics, read_gates(path))
@@ -84,7 +84,7 @@ def compare(metrics: pd.DataFrame, gates: Iterable[Gate]) -> list[Verdict]:
 
 def propose(metrics: pd.DataFrame, origin: str) -> list[Gate]:
     """Gates that hold the primary distance of every row, and every signed error over the head."""
-    units: Mapping[str, str] = metrics.drop_duplicates("metric").set_index("metric")["unit"].to_dict()
+    units = metrics.drop_duplicates("metric").set_index("metric")["unit"].to_dict()
     proposal = []
     for (method, n_examples, metric, region), value in _means(metrics).items():
         signed = metric.startswith("signed_error")

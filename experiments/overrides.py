@@ -9,7 +9,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from experiments.catalogue import GROUPS, options
 from experiments.suggest import choose, nearest
@@ -51,7 +51,7 @@ def _first(override: Override) -> str:
     """The override itself, or the first choice of a sweep."""
     if not override.is_sweep_override():
         return str(override.input_line)
-    return f"{override.key_or_group}={next(iter(override.sweep_string_iterator()))}"
+    return f"{override.key_or_group}={next(override.sweep_string_iterator())!s}"
 
 
 def _composed(config_name: str, overrides: list[str]) -> DictConfig:
@@ -61,9 +61,8 @@ def _composed(config_name: str, overrides: list[str]) -> DictConfig:
 
 
 def _keys(config: DictConfig, prefix: str = "") -> Iterator[str]:
-    for name in config:
-        key = f"{prefix}{name}"
-        yield key
-        value = OmegaConf.to_container(config)[name] if OmegaConf.is_missing(config, name) else config._get_node(name)
-        if isinstance(value, DictConfig):
-            yield from _keys(value, f"{key}.")
+    for name in map(str, config):
+        yield f"{prefix}{name}"
+        node = config._get_node(name)
+        if isinstance(node, DictConfig):
+            yield from _keys(node, f"{prefix}{name}.")

@@ -10,7 +10,8 @@ import errno
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -66,36 +67,43 @@ def read_record(folder: Path) -> Record | None:
     path = folder / RECORD
     if not path.exists():
         return None
-    return _decode(path, pq.read_table, lambda table: table.to_pandas())
+    with _as_a_record(path):
+        table = pq.read_table(path)
+        header = _header(path, table.schema)
+    return Record(header, table.to_pandas())
 
 
 def read_header(folder: Path) -> Mapping[str, Any] | None:
-    """The header alone: enough to decide whether a cell is finished."""
+    """The header alone: enough to decide whether a cell is finished. Raises like `read_record`."""
     path = folder / RECORD
     if not path.exists():
         return None
-    return _decode(path, pq.read_schema, lambda schema: pd.DataFrame()).header
+    with _as_a_record(path):
+        return _header(path, pq.read_schema(path))
 
 
-def _decode(path: Path, read: Callable[[Path], Any], rows: Callable[[Any], pd.DataFrame]) -> Record:
+@contextmanager
+def _as_a_record(path: Path) -> Iterator[None]:
     try:
-        content = read(path)
-        metadata = (content.schema if isinstance(content, pa.Table) else content).metadata or {}
-        header = json.loads(metadata[_HEADER])
-    except (pa.ArrowException, KeyError, ValueError) as error:
+        yield
+    except (pa.ArrowException, KeyError, json.JSONDecodeError) as error:
         raise InvalidInput(
             f"{path}: expected a record of this program, got a file that cannot be read as one ({error}). "
             "Move it away; the cell will then be computed again."
         ) from error
+
+
+def _header(path: Path, schema: pa.Schema) -> Mapping[str, Any]:
+    header: Mapping[str, Any] = json.loads((schema.metadata or {})[_HEADER])
     if header.get("schema") != SCHEMA:
         raise InvalidInput(
             f"{path}: this record has schema {header.get('schema')}, this version reads and writes schema {SCHEMA}. "
             "Nothing was overwritten. Move the results folder away, or choose another with paths.results=FOLDER."
         )
-    return Record(header, rows(content))
+    return header
 
 
-def write_whole(path: Path, write: Callable[[Path], None]) -> None:
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Call write(temporary) and move the result to path: the file is whole or absent.
 
     Raises InvalidInput for a full disk or a folder that cannot be written.
@@ -104,9 +112,10 @@ def write_whole(path: Path, write: Callable[[Path], None]) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write(temporary)
-        os.replace(temporary, path)
+        temporary.replace(path)
     except OSError as error:
-        temporary.unlink(missing_ok=True) if path.parent.is_dir() else None
+        if path.parent.is_dir():
+            temporary.unlink(missing_ok=True)
         full = error.errno in (errno.ENOSPC, errno.EDQUOT)
         what = "the disk is full" if full else f"it cannot be written ({error.strerror or error})"
         remedy = "Free some space" if full else "Make the folder writable or choose another with paths.results=FOLDER"

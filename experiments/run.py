@@ -54,7 +54,7 @@ def run(config: DictConfig, folder: Path, console: Console) -> None:
 
 def check_folder(folder: Path) -> None:
     """Raises InvalidInput unless files can be written there."""
-    write_whole(folder / ".writable", lambda temporary: temporary.write_text("") and None)
+    write_whole(folder / ".writable", lambda temporary: temporary.write_text(""))
     (folder / ".writable").unlink(missing_ok=True)
 
 
@@ -136,7 +136,7 @@ def write_tables(
     write_whole(folder / "cells.parquet", lambda temporary: cells.to_parquet(temporary, index=False))
     write_whole(folder / "summary.csv", lambda temporary: summary.to_csv(temporary, index=False))
     description = json.dumps(_describe(planned, config, started), indent=1)
-    write_whole(folder / "study.json", lambda temporary: temporary.write_text(description) and None)
+    write_whole(folder / "study.json", lambda temporary: temporary.write_text(description))
     return summary
 
 
