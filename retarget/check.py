@@ -5,6 +5,9 @@ Every message names the thing, what was expected, what came, and what to do.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -80,6 +83,15 @@ def check_triangle_areas(name: str, vertices: FloatArray, faces: IntArray, relat
             f"{name}: {len(bad)} of {len(faces)} triangles are degenerate (zero area), the first is triangle "
             f"{bad[0]} with vertices {faces[bad[0]].tolist()}. Deformation gradients need triangles with an area; "
             "merge or move the vertices that coincide."
+        )
+
+
+def check_no_edits(method: str, edits: Mapping[str, Any] | None) -> None:
+    """Raises InvalidInput if a method that knows no artistic edits is given some."""
+    if edits:
+        raise InvalidInput(
+            f"{method}: expected no edits, got {', '.join(sorted(edits))}. This method supports none; "
+            "leave them out or choose a method whose page lists them."
         )
 
 

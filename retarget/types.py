@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,6 +130,8 @@ class Retargeter(ABC):
     `prepare` and `fit` return new objects, so nothing is ever half initialised, and the two set-ups and
     the cost per frame separate by themselves. Anything random has a ``seed`` field.
     """
+
+    exact_on_self: ClassVar[bool] = False  # claims that source == target, examples included, gives the source's frames
 
     def unsupported(self, problem: RetargetProblem) -> str | None:
         """The reason why this method cannot serve the problem (shown in reports as a cell), or None."""

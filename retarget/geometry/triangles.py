@@ -23,12 +23,14 @@ def fourth_edges(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """v4 - v1 = n / sqrt(|n|); vertices (n, ..., 3) give (f, ..., 3). A collapsed triangle gets its limit, zero."""
     normal = np.cross(*edges(vertices, faces))
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    return normal / np.sqrt(np.where(length > 0, length, 1.0))
+    fourth: FloatArray = normal / np.sqrt(np.where(length > 0, length, 1.0))
+    return fourth
 
 
 def areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """(f,) triangle areas."""
-    return 0.5 * np.linalg.norm(np.cross(*edges(vertices, faces)), axis=-1)
+    twice: FloatArray = np.linalg.norm(np.cross(*edges(vertices, faces)), axis=-1)
+    return 0.5 * twice
 
 
 def frames(vertices: FloatArray, faces: IntArray) -> FloatArray:
@@ -52,8 +54,6 @@ def gradient_operators(vertices: FloatArray, faces: IntArray) -> tuple[sp.csr_ar
     dual = np.linalg.inv(frames(vertices, faces))  # rows: gradients of the hat functions of v2, v3 and v4
     hats = np.stack([-dual[:, 0] - dual[:, 1], dual[:, 0], dual[:, 1]], axis=-1)  # (f, direction, corner)
     rows = np.arange(3 * f).reshape(f, 3)
-    gradient = sp.csr_array(
-        (hats.ravel(), (np.repeat(rows, 3), np.repeat(faces, 3, axis=0).ravel())), shape=(3 * f, n)
-    )
+    gradient = sp.csr_array((hats.ravel(), (np.repeat(rows, 3), np.repeat(faces, 3, axis=0).ravel())), shape=(3 * f, n))
     normal = sp.csr_array((dual[:, 2].ravel(), (rows.ravel(), np.repeat(np.arange(f), 3))), shape=(3 * f, f))
     return gradient, normal

@@ -89,7 +89,7 @@ class DeformationTransfer:
         self.size_ratio = float(np.linalg.norm(np.ptp(target, axis=0)) / np.linalg.norm(np.ptp(source, axis=0)))
         self._source_fourth = fourth_edges(source, faces)
         self._components = components(vertex_adjacency(faces, n))
-        self._anchors = [np.intersect1d(piece, anchors, assume_unique=False) for piece in self._components]
+        self._anchors = [np.intersect1d(piece, anchors) for piece in self._components]
 
         weight = areas(target, faces) if Weighting(weighting) is Weighting.AREA else np.ones(len(faces))
         target_gradient, _ = gradient_operators(target, faces)
@@ -128,9 +128,8 @@ class DeformationTransfer:
         fourth_moved = fourth_edges(by_vertex, self.faces) - self._source_fourth[:, None]
         rhs = self._from_displacements @ source_moved.reshape(n, -1)
         rhs += self._from_fourth @ fourth_moved.reshape(len(self.faces), -1)
-        target_moved = np.zeros((n, 3 * t))
-        target_moved[self._free] = self._factor.solve(rhs)
-        target_moved = target_moved.reshape(n, t, 3)
+        target_moved = np.zeros_like(source_moved)
+        target_moved[self._free] = self._factor.solve(rhs).reshape(-1, t, 3)
         self._translate(target_moved, self.size_ratio * source_moved)
         return target_moved.transpose(1, 0, 2)
 
@@ -147,4 +146,4 @@ class DeformationTransfer:
 def _stillest(motion: FloatArray) -> FloatArray:
     """(m, t) mask with ones for the 5 % of the m vertices that move least in each frame, and for all that tie."""
     count = max(1, round(STILL * len(motion)))
-    return (motion <= np.partition(motion, count - 1, axis=0)[count - 1]).astype(np.float64)
+    return np.where(motion <= np.partition(motion, count - 1, axis=0)[count - 1], 1.0, 0.0)
