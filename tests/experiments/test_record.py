@@ -44,7 +44,7 @@ def test_a_file_that_is_no_record_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("code", "words"),
-    [(errno.ENOSPC, "the disk is full"), (errno.EACCES, "cannot be written"), (errno.EROFS, "cannot")],
+    [(errno.ENOSPC, "the disk is full"), (errno.EACCES, "cannot be written"), (errno.EROFS, "cannot be")],
 )
 def test_a_write_that_fails_leaves_the_old_file_and_no_half_one(tmp_path: Path, code: int, words: str) -> None:
     path = tmp_path / "table.csv"

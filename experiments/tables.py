@@ -1,0 +1,124 @@
+"""What a finished study writes beside its records: metrics, cells, summary, and its own description."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+import pandas as pd
+
+from experiments.catalogue import sentence
+from experiments.plan import Plan
+from experiments.record import SCHEMA, read_record, write_whole
+from experiments.references import REFERENCES
+from experiments.study import Row
+from experiments.version import environment
+from reports.summary import summarise
+from retarget.check import InvalidInput
+
+
+def collect(planned: Plan) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """(metrics, cells): every planned cell read back, in the plan's order."""
+    rows, cells = [], []
+    for cell in planned.cells:
+        record = read_record(planned.folder / cell.id)
+        if record is None:
+            raise InvalidInput(f"{planned.folder / cell.id}: its record vanished while the study ran; start it again.")
+        rows.append(record.rows)
+        header = record.header
+        cells.append(
+            {
+                "cell": cell.id,
+                "method": cell.row.name,
+                "source": cell.source,
+                "target": cell.target,
+                "n_examples": cell.n_examples,
+                "draw": cell.draw,
+                **vars(planned.dataset.conditions),
+                "correspondence": planned.study.correspondence,
+                **{key: header[key] for key in ("status", "reason", "prediction")},
+                **{key: _number(header[key]) for key in ("prepare_seconds", "fit_seconds", "seconds_per_expression")},
+                "peak_memory_mb": header["peak_memory_mb"],
+            }
+        )
+    return pd.concat(rows, ignore_index=True), pd.DataFrame(cells)
+
+
+def write_tables(
+    planned: Plan, tables: tuple[pd.DataFrame, pd.DataFrame], config: Mapping[str, Any], started: datetime
+) -> pd.DataFrame:
+    """metrics.parquet, cells.parquet, summary.csv and study.json beside the records; returns the summary."""
+    metrics, cells = tables
+    study, folder = planned.study, planned.folder
+    summary = summarise(
+        metrics,
+        study.reference,
+        study.primary_family,
+        study.primary_metric,
+        study.primary_region,
+        study.seed,
+    )
+    write_whole(folder / "metrics.parquet", lambda temporary: metrics.to_parquet(temporary, index=False))
+    write_whole(folder / "cells.parquet", lambda temporary: cells.to_parquet(temporary, index=False))
+    write_whole(folder / "summary.csv", lambda temporary: summary.to_csv(temporary, index=False))
+    description = json.dumps(_describe(planned, config, started), indent=1)
+    write_whole(folder / "study.json", lambda temporary: temporary.write_text(description))
+    return summary
+
+
+def _describe(planned: Plan, config: Mapping[str, Any], started: datetime) -> dict[str, Any]:
+    study, dataset = planned.study, planned.dataset
+    finished = datetime.now(UTC)
+    return {
+        "schema": SCHEMA,
+        "study": study.name,
+        "title": study.title,
+        "description": study.description,
+        "config": config,
+        "reference": study.reference,
+        "primary_family": list(study.primary_family),
+        "primary_metric": study.primary_metric,
+        "primary_region": study.primary_region,
+        "methods": [
+            {
+                "name": row.name,
+                "label": row.name.replace("_", " "),
+                "description": _description(row),
+                "kind": "method" if row.method else "reference",
+                "settings": dict(row.settings),
+            }
+            for row in planned.rows
+        ],
+        "n_examples": list(study.n_examples),
+        "draws": study.draws,
+        "identities": list(dataset.identities),
+        "expressions": len(dataset.expressions),
+        "vertices": len(dataset.neutral(dataset.identities[0])),
+        "faces": len(dataset.faces),
+        "dataset": {
+            "name": dataset.conditions.dataset,
+            "truth": dataset.conditions.truth,
+            "weights": dataset.conditions.weights,
+            "noise_mm": dataset.conditions.noise_mm,
+            "favours": dataset.favours,
+            "fingerprint": dataset.fingerprint,
+        },
+        "provenance": environment()
+        | {
+            "threads": config["backend"]["threads"],
+            "started": started.isoformat(timespec="seconds"),
+            "finished": finished.isoformat(timespec="seconds"),
+            "wall_seconds": round((finished - started).total_seconds(), 1),
+            "seed": study.seed,
+        },
+    }
+
+
+def _description(row: Row) -> str:
+    return sentence("method", row.name) if row.method else (REFERENCES[row.name].__doc__ or "")
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else value

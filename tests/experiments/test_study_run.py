@@ -1,0 +1,256 @@
+"""A study on a toy dataset: cells, failures, resumption, identical bits."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from experiments import plan as plan_module
+from experiments.backend import Backend, Joblib, Serial
+from experiments.compute import check_folder, compute
+from experiments.metrics.vertex_l2 import VertexL2
+from experiments.plan import Plan, plan
+from experiments.record import FRAMES, METRIC_COLUMNS, RECORD
+from experiments.study import Figures, Row, Study
+from experiments.tables import collect
+from retarget.check import InvalidInput
+from retarget.types import (
+    Examples,
+    FloatArray,
+    Pair,
+    Retargeter,
+    RetargetProblem,
+    RetargetResult,
+    SolveInfo,
+    Status,
+)
+from tests.experiments.toy import Toy, toy
+
+STUDY = Study(
+    name="toy",
+    title="A toy study",
+    description="",
+    seed=0,
+    n_examples=(2, 5),
+    draws=2,
+    test_expressions=3,
+    correspondence="given",
+    span="animation",
+    references=("neutral", "projection_bound"),
+    reference="delta",
+    primary_metric="vertex_l2_mean",
+    primary_region="head",
+    primary_family=("delta",),
+    figures=Figures(pairs=1, draws=1),
+)
+METRIC = {"vertex_l2": (VertexL2(["mean"], ["head", "lips"]), {"statistics": ["mean"]})}
+
+
+@dataclass(frozen=True)
+class Delta(Retargeter):
+    """Delta transfer in its simplest form, that can be told to misbehave."""
+
+    mischief: str = ""
+    calls: Path | None = None  # a folder in which each pair leaves a file
+
+    def unsupported(self, problem: RetargetProblem) -> str | None:
+        return "needs five examples" if self.mischief == "picky" and len(problem.target_examples) < 5 else None
+
+    def prepare(self, pair: Pair) -> DeltaPrepared:
+        if self.mischief == "prepare":
+            raise RuntimeError("no memory for the factor")
+        if self.calls:
+            name = hash((pair.source_neutral.tobytes(), pair.target_neutral.tobytes()))
+            (self.calls / str(name)).touch()
+        return DeltaPrepared(self.mischief, pair)
+
+
+@dataclass(frozen=True)
+class DeltaPrepared:
+    mischief: str
+    pair: Pair
+
+    def fit(self, examples: Examples, animation: FloatArray) -> DeltaPrepared:
+        if self.mischief == "fit":
+            raise ValueError("singular")
+        return self
+
+    def __call__(self, source_frames: FloatArray, edits: Any = None) -> RetargetResult:
+        frames = self.pair.target_neutral + source_frames - self.pair.source_neutral
+        if self.mischief == "nan":
+            frames[0, 0] = np.nan
+        status = Status.MAX_ITERATIONS if self.mischief == "slow" else Status.CONVERGED
+        return RetargetResult(frames, tuple(SolveInfo(status, 3, (2.0, 1.0)) for _ in frames))
+
+
+def planned(
+    folder: Path, dataset: Toy | None = None, study: Study = STUDY, methods: dict[str, Retargeter] | None = None
+) -> Plan:
+    rows = [Row(name, {"name": name}, method) for name, method in (methods or {"delta": Delta()}).items()]
+    return plan(study, dataset or toy(), rows, METRIC, folder)
+
+
+def run(the_plan: Plan, backend: Backend | None = None) -> tuple[pd.DataFrame, pd.DataFrame]:
+    compute(the_plan, backend or Serial(), Console(file=io.StringIO()))
+    return collect(the_plan)
+
+
+def test_every_cell_of_every_ordered_pair_has_its_rows(tmp_path: Path) -> None:
+    metrics, cells = run(planned(tmp_path))
+    assert tuple(metrics.columns) == METRIC_COLUMNS
+    assert len(cells) == 6 * 3 * 2 * 2  # ordered pairs x (delta, neutral, bound) x counts x draws
+    assert len(metrics) == len(cells) * 3 * 2  # test expressions x regions
+    assert set(cells["status"]) == {"ok"}
+    assert metrics["value"].notna().all()
+
+
+def test_the_measured_error_is_the_distance_to_the_truth(tmp_path: Path) -> None:
+    data = toy()
+    metrics, _ = run(planned(tmp_path, data))
+    row = metrics[(metrics.method == "delta") & (metrics.region == "head")].iloc[7]
+    i = [data.expressions.index(row.expression)]
+    moved = data.neutral(row.target) + data.frames(row.source, i)[0] - data.neutral(row.source)
+    assert row.value == pytest.approx(np.linalg.norm(moved - data.frames(row.target, i)[0], axis=1).mean(), abs=1e-12)
+    neutral = metrics[(metrics.method == "neutral") & (metrics.region == "head")].set_index(
+        ["source", "target", "draw", "n_examples", "expression"]
+    )
+    motion = np.linalg.norm(data.frames(row.target, i)[0] - data.neutral(row.target), axis=1).mean()
+    key = (row.source, row.target, row.draw, row.n_examples, row.expression)
+    assert neutral.loc[key, "value"] == pytest.approx(motion)
+
+
+def test_the_projection_bound_falls_with_more_examples_and_vanishes_when_they_span_the_truth(tmp_path: Path) -> None:
+    metrics, _ = run(planned(tmp_path, study=replace(STUDY, n_examples=(2, 5, 30))))
+    bound = metrics[metrics.method == "projection_bound"].groupby("n_examples")["value"].mean()
+    assert bound[2] > bound[5] > 1e-2
+    assert bound[30] < 1e-4  # 30 examples span 8 units
+
+
+@pytest.mark.parametrize(
+    ("mischief", "status", "words"),
+    [
+        ("prepare", "failed", "prepare: RuntimeError: no memory for the factor"),
+        ("fit", "failed", "ValueError: singular"),
+        ("nan", "failed", "NaN or infinite"),
+        ("slow", "not_converged", "3 of 3 solves stopped at their iteration limit"),
+    ],
+)
+def test_a_method_that_fails_is_a_cell_with_its_reason(tmp_path: Path, mischief: str, status: str, words: str) -> None:
+    metrics, cells = run(planned(tmp_path, methods={"delta": Delta(), "odd": Delta(mischief)}))
+    odd = cells[cells.method == "odd"]
+    assert set(odd["status"]) == {status}
+    assert odd["reason"].str.contains(words).all()
+    values = metrics[metrics.method == "odd"]["value"]
+    assert len(values) == len(metrics[metrics.method == "delta"])
+    assert values.isna().all() if status == "failed" else values.notna().all()
+    assert set(cells[cells.method == "delta"]["status"]) == {"ok"}
+
+
+def test_an_unsupported_problem_is_a_cell_with_its_reason(tmp_path: Path) -> None:
+    _, cells = run(planned(tmp_path, methods={"delta": Delta("picky")}))
+    delta = cells[cells.method == "delta"].set_index("n_examples")
+    assert set(delta.loc[2, "status"]) == {"unsupported"}
+    assert set(delta.loc[2, "reason"]) == {"needs five examples"}
+    assert set(delta.loc[5, "status"]) == {"ok"}
+
+
+def test_finished_cells_are_not_computed_again_and_missing_ones_are(tmp_path: Path) -> None:
+    calls = tmp_path / "calls"
+    calls.mkdir()
+    first = planned(tmp_path, methods={"delta": Delta(calls=calls)})
+    whole = run(first)
+    assert len(list(calls.iterdir())) == 6
+    for file in calls.iterdir():
+        file.unlink()
+    lost = [cell for cell in first.cells if cell.row.name == "delta" and (cell.source, cell.target) == ("a", "b")]
+    for cell in lost[:2]:
+        (tmp_path / cell.id / RECORD).unlink()
+    again = run(planned(tmp_path, methods={"delta": Delta(calls=calls)}))
+    assert len(list(calls.iterdir())) == 1
+    pd.testing.assert_frame_equal(again[0], whole[0])
+    assert again[1]["prediction"].tolist() == whole[1]["prediction"].tolist()
+
+
+@pytest.mark.parametrize("change", ["data", "code", "settings", "seed"])
+def test_a_cell_is_reused_only_if_id_code_and_data_match(
+    tmp_path: Path, change: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(planned(tmp_path))
+    data, study, rows = toy(), STUDY, {"delta": Delta()}
+    if change == "data":
+        data = replace(data, fingerprint="other")
+    elif change == "code":
+        monkeypatch.setattr(plan_module, "code_hash", lambda: "other")
+    elif change == "settings":
+        rows = {"delta_2": Delta()}
+        study = replace(study, reference="delta_2")
+    else:
+        study = replace(study, seed=1)
+    changed = planned(tmp_path, data, study, rows)
+    assert all(changed.finished(cell) is None for cell in changed.cells if cell.row.method)
+
+
+def test_parallel_and_serial_runs_give_the_same_bits(tmp_path: Path) -> None:
+    rows = {"delta": _packaged_delta()}
+    serial, parallel = planned(tmp_path / "s", methods=rows), planned(tmp_path / "p", methods=rows)
+    one, two = run(serial, Serial()), run(parallel, Joblib(jobs=2))
+    pd.testing.assert_frame_equal(one[0], two[0])
+    assert one[1]["prediction"].tolist() == two[1]["prediction"].tolist()
+
+
+def _packaged_delta() -> Retargeter:
+    from baselines.delta_transfer import DeltaTransfer
+
+    return DeltaTransfer()
+
+
+def test_marked_frames_are_kept_beside_their_record(tmp_path: Path) -> None:
+    data = toy()
+    the_plan = planned(tmp_path, data)
+    run(the_plan)
+    kept = [cell for cell in the_plan.cells if (tmp_path / cell.id / FRAMES).exists()]
+    assert {(cell.source, cell.target, cell.draw) for cell in kept} == {("a", "b", 0)}
+    with np.load(tmp_path / kept[0].id / FRAMES, allow_pickle=False) as frames:
+        assert frames["truth"].shape == frames["retargeted"].shape == frames["source"].shape == (3, 642, 3)
+        i = [data.expressions.index(name) for name in frames["expressions"]]
+        np.testing.assert_allclose(frames["truth"], data.frames("b", i), atol=1e-4)
+
+
+def bad(vertex: float) -> FloatArray:
+    neutral = toy().neutral("b").copy()
+    neutral[5, 1] = vertex
+    return neutral
+
+
+@pytest.mark.parametrize(
+    ("dataset", "words"),
+    [
+        (lambda: toy(identities=1), "1 identities, expected at least 2"),
+        (lambda: toy().with_neutral("b", bad(np.nan)), r"b, neutral: 1 vertices are NaN or infinite, .* \(5,\)"),
+        (lambda: toy().with_neutral("b", bad(np.inf)), "NaN or infinite"),
+        (lambda: toy().with_neutral("b", toy(subdivisions=2).neutral("b")), "expected 642 vertices .* got 162"),
+        (lambda: toy().with_neutral("b", np.zeros((642, 3))), "b, neutral: 1280 of 1280 triangles are degenerate"),
+        (lambda: replace(toy(), faces=toy().faces + 1), "the faces belong to another mesh"),
+        (lambda: toy(expressions=7), "5 examples asked for, but the dataset has 7 expressions"),
+    ],
+)
+def test_data_that_no_study_can_use_is_refused_before_anything_runs(tmp_path: Path, dataset: Any, words: str) -> None:
+    with pytest.raises(InvalidInput, match=words):
+        planned(tmp_path / "results", dataset())
+    assert not (tmp_path / "results").exists()
+
+
+def test_a_results_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "results").write_text("somebody's file")
+    with pytest.raises(InvalidInput, match="cannot be written"):
+        check_folder(tmp_path / "results" / "ci")
+    assert (tmp_path / "results").read_text() == "somebody's file"
+    check_folder(tmp_path / "fine")
+    assert list((tmp_path / "fine").iterdir()) == []
