@@ -1,0 +1,187 @@
+"""What every method promises, checked for each configuration in experiments/conf/method."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+
+import hydra
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+
+import experiments.conf
+from retarget.check import InvalidInput, UnsupportedProblem
+from retarget.types import Retargeter, RetargetProblem, RetargetResult, SolveInfo
+from tests.synthetic import problem as synthetic_problem
+
+CONFIGS = sorted((Path(experiments.conf.__file__).parent / "method").glob("*.yaml"))
+
+
+@pytest.fixture(params=CONFIGS, ids=lambda path: path.stem)
+def method(request) -> Retargeter:
+    return hydra.utils.instantiate(OmegaConf.load(request.param))
+
+
+def read_only(given: RetargetProblem) -> RetargetProblem:
+    for field in fields(given):
+        value = getattr(given, field.name)
+        if isinstance(value, np.ndarray):
+            value.setflags(write=False)
+    return given
+
+
+@pytest.fixture(scope="module")
+def problem() -> Iterator[RetargetProblem]:
+    """Five examples, nine frames; no method may write into any of it."""
+    given = read_only(synthetic_problem())
+    before = pickle.dumps(given)
+    yield given
+    assert pickle.dumps(given) == before
+
+
+@pytest.fixture(scope="module")
+def frames(problem) -> np.ndarray:
+    return problem.source_animation[3:9]  # two of the examples and four expressions beyond them
+
+
+def mutually_exact(given: RetargetProblem) -> RetargetProblem:
+    """The source as its own target."""
+    return replace(given, target_neutral=given.source_neutral, target_examples=given.source_examples)
+
+
+def test_there_is_a_configuration_per_method():
+    assert {"delta", "sumner_popovic", "gradient_transfer", "lbs", "plbs", "lbs_residual", "plbs_residual"} <= {
+        path.stem for path in CONFIGS
+    }
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
+def test_configuration_names_its_package_and_says_what_it_is(path):
+    package, sentence, target, *_ = path.read_text().splitlines()
+    assert package == f"# @package method.{path.stem}"
+    assert sentence.startswith("# ")
+    assert sentence.endswith(".")
+    assert target.startswith("_target_: ")
+
+
+def test_is_a_frozen_dataclass_of_settings(method):
+    assert isinstance(method, Retargeter)
+    assert is_dataclass(method)
+    assert type(method).__dataclass_params__.frozen
+    assert pickle.loads(pickle.dumps(method)) == method
+    assert hash(method) == hash(replace(method))
+
+
+def test_shapes_dtypes_and_one_verdict_per_frame(method, problem, frames):
+    result = method.retarget(problem, frames)
+    assert isinstance(result, RetargetResult)
+    for name, array in {"frames": result.frames, **result.parts}.items():
+        assert array.shape == frames.shape, name
+        assert array.dtype == np.float64, name
+        assert np.isfinite(array).all(), name
+    assert len(result.info) == len(frames)
+    assert all(isinstance(info, SolveInfo) for info in result.info)
+
+
+def test_neutral_maps_to_neutral(method, problem):
+    result = method.retarget(problem, problem.source_neutral[None])
+    np.testing.assert_allclose(result.frames[0], problem.target_neutral, atol=1e-9)
+
+
+def test_source_as_target_gives_the_source_where_claimed(method, problem, frames):
+    result = method.retarget(mutually_exact(problem), frames)
+    if method.exact_on_self:
+        np.testing.assert_allclose(result.frames, frames, atol=1e-6)
+    else:
+        assert np.abs(result.frames - frames).max() > 1e-6, "exact, but it does not claim so"
+
+
+def test_same_seed_gives_the_same_bits(method, problem, frames):
+    first, second = (method.retarget(problem, frames) for _ in range(2))
+    assert first.frames.tobytes() == second.frames.tobytes()
+    assert first.parts.keys() == second.parts.keys()
+    assert all(first.parts[name].tobytes() == second.parts[name].tobytes() for name in first.parts)
+
+
+def test_batches_do_not_change_the_result(method, problem, frames):
+    fitted = method.prepare(problem.pair).fit(problem.examples, problem.source_animation)
+    together = fitted(frames).frames
+    one_by_one = np.concatenate([fitted(frame[None]).frames for frame in frames])
+    np.testing.assert_allclose(one_by_one, together, atol=1e-9)
+    assert fitted(frames[:0]).frames.shape == (0, *frames.shape[1:])
+
+
+def test_fits_do_not_influence_each_other(method, problem, frames):
+    prepared = method.prepare(problem.pair)
+    fitted = prepared.fit(problem.examples, problem.source_animation)
+    fewer = replace(problem, target_examples=problem.target_examples[:2], source_examples=problem.source_examples[:2])
+    prepared.fit(fewer.examples, fewer.source_animation)(frames)
+    np.testing.assert_array_equal(fitted(frames).frames, method.retarget(problem, frames).frames)
+
+
+def test_input_is_left_alone(method, problem, frames):
+    before = pickle.dumps(problem)
+    method.retarget(problem, frames)  # arrays are read-only
+    assert pickle.dumps(problem) == before
+
+
+@pytest.mark.parametrize(
+    ("broken", "message"),
+    [
+        (lambda p: replace(p, target_neutral=np.full_like(p.target_neutral, np.nan)), "target_neutral: .* NaN"),
+        (lambda p: replace(p, target_neutral=p.target_neutral[1:]), "target_neutral: expected 642 vertices"),
+        (lambda p: replace(p, source_examples=p.source_examples[1:]), "source_examples: expected one for each"),
+        (lambda p: replace(p, target_examples=p.target_examples * np.inf), "target_examples: .* NaN or infinite"),
+        (lambda p: replace(p, faces=p.faces + 7), "faces: indices reach"),
+        (lambda p: replace(p, target_neutral=p.target_neutral * [1, 0, 0]), "degenerate"),
+    ],
+    ids=["nan", "topology", "counts", "infinite", "faces", "degenerate"],
+)
+@pytest.mark.filterwarnings("ignore:invalid value")
+def test_refuses_a_broken_problem(method, problem, frames, broken, message):
+    with pytest.raises(InvalidInput, match=message):
+        method.retarget(broken(problem), frames)
+
+
+@pytest.mark.parametrize(
+    ("broken", "message"),
+    [
+        (lambda f: f[0], r"source_frames: expected frames of shape \(t, n, 3\)"),
+        (lambda f: f[:, 1:], "source_frames: expected 642 vertices"),
+        (lambda f: np.where(f == f.max(), np.nan, f), "source_frames: .* NaN"),
+    ],
+    ids=["one frame", "topology", "nan"],
+)
+def test_refuses_broken_frames_in_every_form_of_the_call(method, problem, frames, broken, message):
+    with pytest.raises(InvalidInput, match=message):
+        method.retarget(problem, broken(frames))
+    fitted = method.prepare(problem.pair).fit(problem.examples, problem.source_animation)
+    with pytest.raises(InvalidInput, match=message):
+        fitted(broken(frames))
+
+
+def test_says_why_it_cannot_serve_or_serves(method, problem, frames):
+    none = problem.target_examples[:0]
+    lacking = {
+        "no correspondence": replace(problem, source_examples=None),
+        "no examples": replace(problem, target_examples=none, source_examples=none),
+    }
+    assert method.unsupported(problem) is None
+    for name, given in lacking.items():
+        reason = method.unsupported(given)
+        if reason is None:
+            assert np.isfinite(method.retarget(given, frames).frames).all(), name
+        else:
+            assert len(reason) > 10, name
+            with pytest.raises(UnsupportedProblem, match=reason):
+                method.retarget(given, frames)
+
+
+def test_refuses_edits_it_does_not_know(method, problem, frames):
+    fitted = method.prepare(problem.pair).fit(problem.examples, problem.source_animation)
+    with pytest.raises(InvalidInput, match="no_such_edit"):
+        fitted(frames, edits={"no_such_edit": 1})
+    fitted(frames, edits={})
