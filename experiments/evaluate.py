@@ -7,12 +7,12 @@ import sys
 import time
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
+import pyarrow as pa
 
 from experiments.correspondence import Known, correspondence
 from experiments.metrics.metric import Comparison, Measurement, Metric
@@ -239,35 +239,28 @@ def _solve(info: SolveInfo) -> dict[str, Any]:
 
 def _rows(
     task: PairTask, cell: Cell, case: _Case, measurements: Sequence[Measurement], status: str, empty: bool
-) -> pd.DataFrame:
+) -> pa.Table:
     """Tidy rows; the values of a cell without an answer are NaN, so that it shows as such and never as a blank."""
-    conditions = task.dataset.conditions
-    blocks = [
-        pd.DataFrame(
-            {
-                "expression": case.expressions,
-                "metric": measurement.metric,
-                "region": measurement.region,
-                "value": np.nan if empty else measurement.values,
-                "unit": measurement.unit,
-            }
-        )
-        for measurement in measurements
-    ]
-    rows = pd.concat(blocks, ignore_index=True)
-    return rows.assign(
-        method=cell.row.name,
-        source=cell.source,
-        target=cell.target,
-        n_examples=cell.n_examples,
-        draw=cell.draw,
-        dataset=conditions.dataset,
-        truth=conditions.truth,
-        weights=conditions.weights,
-        noise_mm=conditions.noise_mm,
-        correspondence=task.study.correspondence,
-        status=status,
-    )[list(METRIC_COLUMNS)]
+    frames, count = len(case.expressions), len(case.expressions) * len(measurements)
+    values = np.concatenate([measurement.values for measurement in measurements])
+    varying = {
+        "expression": list(case.expressions) * len(measurements),
+        "metric": [measurement.metric for measurement in measurements for _ in range(frames)],
+        "region": [measurement.region for measurement in measurements for _ in range(frames)],
+        "value": np.full(count, np.nan) if empty else values,
+        "unit": [measurement.unit for measurement in measurements for _ in range(frames)],
+    }
+    constant = asdict(task.dataset.conditions) | {
+        "method": cell.row.name,
+        "source": cell.source,
+        "target": cell.target,
+        "n_examples": cell.n_examples,
+        "draw": cell.draw,
+        "correspondence": task.study.correspondence,
+        "status": status,
+    }
+    columns = varying | {name: [value] * count for name, value in constant.items()}
+    return pa.table({name: columns[name] for name in METRIC_COLUMNS})
 
 
 def _write_frames(path: Path, case: _Case, pair: Pair, result: RetargetResult) -> None:

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -44,7 +43,7 @@ class Record:
     """
 
     header: Mapping[str, Any]
-    rows: pd.DataFrame
+    rows: pa.Table
 
 
 def digest(content: Any) -> str:
@@ -54,8 +53,7 @@ def digest(content: Any) -> str:
 
 def write_record(folder: Path, record: Record) -> None:
     """Write folder/record.parquet whole or not at all. Raises InvalidInput if the disk refuses."""
-    table = pa.Table.from_pandas(record.rows, preserve_index=False)
-    table = table.replace_schema_metadata({**(table.schema.metadata or {}), _HEADER: json.dumps(record.header)})
+    table = record.rows.replace_schema_metadata({_HEADER: json.dumps(record.header)})
     write_whole(folder / RECORD, lambda temporary: pq.write_table(table, temporary))
 
 
@@ -68,9 +66,9 @@ def read_record(folder: Path) -> Record | None:
     if not path.exists():
         return None
     with _as_a_record(path):
-        table = pq.read_table(path)
+        table = pq.ParquetFile(path).read()
         header = _header(path, table.schema)
-    return Record(header, table.to_pandas())
+    return Record(header, table.replace_schema_metadata())
 
 
 def read_header(folder: Path) -> Mapping[str, Any] | None:

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 import pandas as pd
+import pyarrow as pa
 
 from experiments.catalogue import sentence
 from experiments.plan import Plan
@@ -43,7 +44,7 @@ def collect(planned: Plan) -> tuple[pd.DataFrame, pd.DataFrame]:
                 "peak_memory_mb": header["peak_memory_mb"],
             }
         )
-    return pd.concat(rows, ignore_index=True), pd.DataFrame(cells)
+    return pa.concat_tables(rows).to_pandas(), pd.DataFrame(cells)
 
 
 def write_tables(
