@@ -4,9 +4,15 @@ from __future__ import annotations
 
 from importlib.resources import files
 from pathlib import Path
+from typing import Any, cast
 
+from hydra.utils import instantiate
+from omegaconf import OmegaConf
 from rich.console import Console
 from rich.table import Table
+
+from experiments.suggest import choose
+from retarget.types import Retargeter
 
 GROUPS = ("study", "method", "dataset", "metric", "scale", "backend")
 CONF = Path(str(files("experiments") / "conf"))
@@ -23,6 +29,15 @@ def sentence(group: str, name: str) -> str:
         if line.startswith("#") and not line.startswith("# @package"):
             return line.lstrip("# ").strip()
     return ""
+
+
+def make_method(name: str, **settings: Any) -> Retargeter:
+    """The method of ``conf/method/<name>.yaml``, tuned as there, with some settings changed.
+
+    Raises InvalidInput for an unknown name.
+    """
+    config = OmegaConf.load(CONF / "method" / f"{choose('method', name, options('method'))}.yaml")
+    return cast(Retargeter, instantiate(config, **settings))
 
 
 def print_catalogue(console: Console) -> None:

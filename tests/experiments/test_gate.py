@@ -1,0 +1,77 @@
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import yaml
+from omegaconf import OmegaConf
+from rich.console import Console
+
+from experiments.gate import GATES, Gate, compare, gate, propose, read_gates
+from retarget.check import InvalidInput
+
+GATE = Gate("plbs", 5, "vertex_l2_mean", "head", 0.5, 0.01, "mm", "lower", "because", "study=ci")
+
+
+def metrics(value: float = 0.5) -> pd.DataFrame:
+    rows = [
+        ("plbs", 5, "vertex_l2_mean", "head", value - 0.1, "mm"),
+        ("plbs", 5, "vertex_l2_mean", "head", value + 0.1, "mm"),
+        ("plbs", 5, "vertex_l2_max", "head", 9.0, "mm"),
+        ("plbs", 5, "signed_error_x", "head", 0.001, "mm"),
+    ]
+    return pd.DataFrame(rows, columns=["method", "n_examples", "metric", "region", "value", "unit"])
+
+
+@pytest.mark.parametrize(("value", "passed"), [(0.5, True), (0.509, True), (0.511, False), (0.489, False)])
+def test_a_gate_holds_from_both_sides(value: float, passed: bool) -> None:
+    assert compare(metrics(value), [GATE])[0].passed is passed
+
+
+def test_a_row_without_an_answer_fails_its_gate() -> None:
+    assert not compare(metrics(), [replace(GATE, method="lbs")])[0].passed
+    assert not compare(metrics().assign(value=float("nan")), [GATE])[0].passed
+
+
+def test_proposed_gates_hold_on_the_study_that_they_come_from_and_watch_the_offset() -> None:
+    proposal = propose(metrics(), "here")
+    assert all(verdict.passed for verdict in compare(metrics(), proposal))
+    assert {entry.metric for entry in proposal} == {"vertex_l2_mean", "signed_error_x"}
+    offset = metrics().assign(value=lambda rows: rows["value"] + 0.011 * (rows["metric"] == "signed_error_x"))
+    assert [v.gate.metric for v in compare(offset, proposal) if not v.passed] == ["signed_error_x"]
+
+
+def test_the_command_prints_a_table_and_tells_whether_all_hold(tmp_path: Path) -> None:
+    file = tmp_path / "gates.yaml"
+    metrics().to_parquet(tmp_path / "metrics.parquet")
+    out = io.StringIO()
+    proposing = OmegaConf.create({"study": "ci", "gates": None, "propose": str(file)})
+    checking = OmegaConf.create({"study": "ci", "gates": str(file), "propose": None})
+    assert gate(tmp_path, proposing, Console(file=out))
+    assert gate(tmp_path, checking, Console(file=out, width=150))
+    assert "2 gates hold, 0 fail" in out.getvalue()
+    metrics(0.6).to_parquet(tmp_path / "metrics.parquet")
+    assert not gate(tmp_path, checking, Console(file=out, width=150))
+    assert "FAIL" in out.getvalue()
+
+
+def test_missing_studies_and_odd_files_are_refused(tmp_path: Path) -> None:
+    config = OmegaConf.create({"study": "ci", "gates": None, "propose": None})
+    with pytest.raises(InvalidInput, match="no finished study there"):
+        gate(tmp_path / "ci", config, Console())
+    with pytest.raises(InvalidInput, match="no gates file"):
+        read_gates(tmp_path / "gates.yaml")
+    (tmp_path / "gates.yaml").write_text(yaml.safe_dump([{"method": "plbs"}]))
+    with pytest.raises(InvalidInput, match="expected a list of gates with method, n_examples"):
+        read_gates(tmp_path / "gates.yaml")
+
+
+def test_the_gates_under_version_control_cover_every_method_of_the_study() -> None:
+    gates = read_gates(GATES / "ci.yaml")
+    assert {entry.n_examples for entry in gates} == {5, 15, 30}
+    assert {"delta", "sumner_popovic", "gradient_transfer", "lbs", "plbs", "lbs_residual", "plbs_residual"} <= {
+        entry.method for entry in gates
+    }
+    assert all(entry.tolerance > 0 and entry.reason and entry.origin for entry in gates)
+    assert all(entry.tolerance <= 0.01 for entry in gates if entry.metric.startswith("signed_error"))
