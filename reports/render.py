@@ -14,11 +14,12 @@ import numpy as np
 import trimesh
 from embreex import rtcore_scene
 from embreex.mesh_construction import TriangleMesh
-from matplotlib.colors import Colormap, LinearSegmentedColormap, to_rgb, to_rgba
+from matplotlib.colors import Colormap, to_rgb, to_rgba
 from matplotlib.typing import ColorType
 from numpy.typing import ArrayLike, NDArray
 
 from reports.camera import Camera, front, look, side, three_quarter
+from reports.colors import ERROR_COLORMAP, SKIN
 from retarget.check import InvalidInput, check_faces, check_vertices
 from retarget.types import FloatArray, IntArray
 
@@ -29,11 +30,6 @@ __all__ = [
 
 Image = NDArray[np.uint8]  # (h, w, 3) RGB or (h, w, 4) RGBA
 Float32 = NDArray[np.float32]
-
-SKIN = "#d9bba8"
-ERROR_COLORMAP = LinearSegmentedColormap.from_list(
-    "error", ["#f3efe9", "#fbdf9f", "#f7a660", "#e25a5b", "#a3216f", "#43105f"]
-)  # light at the low end: the shape stays visible where the error is small
 
 # Studio lights, fixed to the camera (right, up, towards the viewer).
 _KEY, _FILL, _RIM = ((-0.50, 0.55, 0.70), (0.85, 0.05, 0.50), (0.45, 0.55, -0.75))
@@ -77,7 +73,10 @@ def render_mesh(
     triangle, u, w = f[hits["primID"][hit]], hits["u"][hit], hits["v"][hit]
     mesh = trimesh.Trimesh(v, f, process=False)
     normals = np.asarray(mesh.vertex_normals)
-    attributes = np.column_stack([normals, _light_reaching(scene, v, normals, camera), albedo]).astype(np.float32)
+    light = np.zeros((len(v), 2))
+    seen = np.unique(triangle)
+    light[seen] = _light_reaching(scene, v[seen], normals[seen], camera)
+    attributes = np.column_stack([normals, light, albedo]).astype(np.float32)
     at = (1 - u - w)[:, None] * attributes[triangle[:, 0]]
     at += u[:, None] * attributes[triangle[:, 1]]
     at += w[:, None] * attributes[triangle[:, 2]]

@@ -1,0 +1,104 @@
+"""What a study may claim: a difference only where the pairwise test, the per-target test and the interval agree."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pandas as pd
+
+from reports.load import StudyResults
+from reports.text import estimate, number, p_value
+
+ALPHA = 0.05
+
+
+def supported(test: pd.Series[float]) -> bool:
+    """Whether all three analyses of a row of `summary.paired_tests` find a difference at 5 %."""
+    excluded = test["ratio_high"] < 1 or test["ratio_low"] > 1
+    return bool(test["p_holm"] < ALPHA and test["p_targets"] < ALPHA and excluded)
+
+
+def findings(study: StudyResults, tests: pd.DataFrame) -> tuple[str, ...]:
+    """Sentences for the title page, one or two per example count; tests are those of the primary family."""
+    said = [sentence for count in study.facts["n_examples"] for sentence in _at(study, tests, count)]
+    if limit := _limit(study):
+        said.append(limit)
+    without = int((~study.cells["status"].isin(["ok", "not_converged"])).sum())
+    late = int((study.cells["status"] == "not_converged").sum())
+    total = len(study.cells)
+    if without:
+        said.append(
+            f"{without} of {total} cells have no result; they are listed with their reasons, and means leave out their "
+            "pairs and draws for every method."
+        )
+    if late:
+        said.append(f"{late} of {total} cells stopped at an iteration limit; their results are used and listed.")
+    return tuple(said)
+
+
+def _at(study: StudyResults, tests: pd.DataFrame, count: int) -> list[str]:
+    rows = study.primary
+    rows = rows[(rows["n_examples"] == count) & rows["method"].isin(study.tested) & rows["mean"].notna()]
+    if rows.empty:
+        return [f"{count} examples: no cell was finished by all compared methods."]
+    best = rows.iloc[int(np.argmin(rows["mean"]))]
+    unit = study.metrics.loc[study.metrics["metric"] == study.facts["primary_metric"], "unit"].iloc[0]
+    value = estimate(best["mean"], best["ci_low"], best["ci_high"])
+    said = [f"{count} examples: the smallest mean error is that of {study.label(best['method'])}, {value} {unit}"]
+    reference = rows[rows["method"] == study.facts["reference"]]
+    if best["method"] == study.facts["reference"]:
+        said[0] += " (the reference)."
+    elif len(reference):
+        r = reference.iloc[0]
+        value = estimate(r["mean"], r["ci_low"], r["ci_high"])
+        said[0] += f"; the reference, {study.label(r['method'])}, has {value} {unit}."
+    here = tests[tests["n_examples"] == count]
+    claims = [row for _, row in here.iterrows() if supported(row)]
+    for smaller, word in ((True, "smaller"), (False, "larger")):
+        names = [_claim(study, row) for row in claims if (row["ratio"] < 1) == smaller]
+        if names:
+            reference_name = study.label(study.facts["reference"])
+            said.append(f"{count} examples, error {word} than that of {reference_name}: {', '.join(names)}.")
+    open_ = [study.label(row["method"]) for _, row in here.iterrows() if not supported(row)]
+    if open_ and claims:
+        said.append(f"{count} examples, no difference claimed: {', '.join(open_)}.")
+    elif open_:
+        said.append(f"{count} examples: no difference to the reference is claimed for {', '.join(open_)}.")
+    return said
+
+
+def _claim(study: StudyResults, row: pd.Series[float]) -> str:
+    ratio = estimate(row["ratio"], row["ratio_low"], row["ratio_high"], digits=2)
+    return f"{study.label(str(row['method']))} (ratio {ratio}, p = {p_value(row['p_holm'])})"
+
+
+def _limit(study: StudyResults) -> str:
+    people = len(study.facts["identities"])
+    smallest = 2.0 ** (1 - people)
+    if people < 4:
+        return f"With {people} identities nothing is testable; all figures describe these people alone."
+    if smallest > ALPHA:
+        return (
+            f"With {people} targets the smallest p that a test on target means can give is {number(smallest)}, so no "
+            "difference can be claimed at 5 % here. Ratios and intervals describe these identities; run at least 6 "
+            "identities for claims."
+        )
+    return ""
+
+
+def favours(study: StudyResults) -> str:
+    """What the ground truth is, and which methods it resembles."""
+    text = " ".join(str(study.facts["dataset"]["favours"]).split())
+    return "The ground truth is synthetic. " + text if text else "The ground truth is synthetic."
+
+
+def conditions(study: StudyResults) -> str:
+    """The conditions of every statement, in one line."""
+    data = study.facts["dataset"]
+    correspondence = study.cells["correspondence"].iloc[0]
+    noise = f"{data['noise_mm']:g} mm noise" if not math.isclose(data["noise_mm"], 0.0) else "no noise"
+    return (
+        f"dataset {data['name']}, truth {data['truth']}, weights {data['weights']}, {noise}, "
+        f"correspondence {correspondence}"
+    )

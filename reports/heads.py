@@ -1,0 +1,205 @@
+"""Rendered heads of a study: source, truth and every method with its vertex error, on one scale in mm."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from reports.camera import Camera, look
+from reports.load import FigureCell, Frames, StudyResults
+from reports.render import render_mesh, write_image
+from retarget.types import FloatArray
+
+SIZE = (330, 420)  # pixels of one head: 280 per inch at 30 mm
+LARGE = (520, 660)
+_STILL = 0.5  # mm: a vertex that no frame moves further does not decide how low the picture reaches
+
+
+@dataclass(frozen=True)
+class Head:
+    """One picture of a page; image is a file name, or None where there is no result."""
+
+    label: str
+    image: str | None
+    caption: str = ""
+
+
+@dataclass(frozen=True)
+class HeadRow:
+    """One expression."""
+
+    expression: str
+    heads: tuple[Head, ...]
+
+
+@dataclass(frozen=True)
+class HeadPage:
+    """One page: expressions x methods for one pair and example count."""
+
+    source: str
+    target: str
+    n_examples: int
+    draw: int
+    rows: tuple[HeadRow, ...]
+
+
+@dataclass(frozen=True)
+class HeadPages:
+    """All pages of a study with their common scale."""
+
+    limit_mm: float
+    pages: tuple[HeadPage, ...] = ()
+    worst: tuple[HeadRow, ...] = ()
+
+
+@dataclass
+class _Darkroom:
+    """Pictures asked for, each once, taken together at the end by a few processes."""
+
+    folder: Path
+    limit: float
+    orders: dict[str, tuple[Path, FloatArray, Frames, Camera, tuple[int, int], FloatArray | None, float]] = field(
+        default_factory=dict
+    )
+
+    def order(
+        self,
+        name: str,
+        vertices: FloatArray,
+        frames: Frames,
+        camera: Camera,
+        size: tuple[int, int],
+        error: FloatArray | None,
+    ) -> str:
+        file = f"{name}.jpg"
+        self.orders.setdefault(file, (self.folder / file, vertices, frames, camera, size, error, self.limit))
+        return file
+
+    def develop(self) -> None:
+        jobs = min(os.cpu_count() or 1, 8, max(len(self.orders) // 8, 1))
+        Parallel(n_jobs=jobs)(
+            delayed(_take)(path, vertices, frames.faces, *rest)
+            for path, vertices, frames, *rest in self.orders.values()
+        )
+
+
+def render_heads(study: StudyResults, folder: Path, prefix: str, expressions: int = 4) -> HeadPages | None:
+    """Render a study's figure cells into folder; None if it kept no frames.
+
+    The pages show the first pair with frames at the smallest and the largest example count, and the `expressions`
+    that move the truth most; `worst` shows the single worst expression of each method among all figure cells.
+    """
+    cells = study.figure_cells
+    if not cells:
+        return None
+    counts = sorted({c.n_examples for c in cells})
+    first = next((c for c in cells if c.method == study.facts["reference"]), cells[0])
+    limit = _nice(max(np.nanquantile(_errors(c), 0.99) for c in cells if c.method != "neutral"))
+    darkroom = _Darkroom(folder, limit)
+    pages = tuple(
+        _page(study, darkroom, prefix, first, count, expressions) for count in dict.fromkeys((counts[0], counts[-1]))
+    )
+    worst = tuple(_worst(study, darkroom, prefix, cells))
+    darkroom.develop()
+    return HeadPages(limit, pages, worst)
+
+
+def _page(
+    study: StudyResults, room: _Darkroom, prefix: str, first: FigureCell, count: int, expressions: int
+) -> HeadPage:
+    at = (first.source, first.target, count, first.draw)
+    shown = {c.method: c for c in study.figure_cells if (c.source, c.target, c.n_examples, c.draw) == at}
+    frames = first.frames
+    camera = _camera(frames, SIZE)
+    rows = []
+    for t in _lively(frames, expressions):
+        name = f"{prefix}-{first.source}-{first.target}-{first.draw}-{t}"
+        heads = [
+            Head(f"source {first.source}", room.order(f"{name}-source", frames.source[t], frames, camera, SIZE, None)),
+            Head(f"truth {first.target}", room.order(f"{name}-truth", frames.truth[t], frames, camera, SIZE, None)),
+        ]
+        for m in study.methods:
+            if m.name == "neutral":
+                continue
+            if m.name not in shown:
+                heads.append(Head(m.label, None, "no result"))
+                continue
+            mine = shown[m.name].frames
+            error = mine.error(t)
+            image = room.order(f"{name}-{m.name}-{count}", mine.retargeted[t], mine, camera, SIZE, error)
+            heads.append(Head(m.label, image, f"{np.nanmean(error):.2f}"))
+        rows.append(HeadRow(frames.expressions[t], tuple(heads)))
+    return HeadPage(first.source, first.target, count, first.draw, tuple(rows))
+
+
+def _worst(study: StudyResults, room: _Darkroom, prefix: str, cells: Sequence[FigureCell]) -> Iterator[HeadRow]:
+    for m in study.methods:
+        mine = [c for c in cells if c.method == m.name]
+        if m.kind == "reference" or not mine:
+            continue
+        cell, t = max(((c, t) for c in mine for t in range(len(c.frames.truth))), key=lambda ct: _mean(*ct))
+        frames = cell.frames
+        camera = _camera(frames, SIZE)
+        name = f"{prefix}-{cell.source}-{cell.target}-{cell.draw}-{t}"
+        error = frames.error(t)
+        own = f"{name}-{m.name}-{cell.n_examples}"
+        heads = (
+            Head("source", room.order(f"{name}-source", frames.source[t], frames, camera, SIZE, None)),
+            Head("truth", room.order(f"{name}-truth", frames.truth[t], frames, camera, SIZE, None)),
+            Head("result", room.order(f"{own}-plain", frames.retargeted[t], frames, camera, SIZE, None)),
+            Head(
+                "error", room.order(own, frames.retargeted[t], frames, camera, SIZE, error), f"{np.nanmean(error):.2f}"
+            ),
+        )
+        title = f"{m.label}: {frames.expressions[t]}, {cell.source} to {cell.target}, {cell.n_examples} examples"
+        yield HeadRow(title, heads)
+
+
+def _mean(cell: FigureCell, frame: int) -> float:
+    return float(np.nanmean(cell.frames.error(frame)))
+
+
+def _errors(cell: FigureCell) -> FloatArray:
+    return np.stack([cell.frames.error(t) for t in range(len(cell.frames.truth))])
+
+
+def _lively(frames: Frames, count: int) -> list[int]:
+    """Indices of the frames that move most, in their own order."""
+    motion = np.linalg.norm(frames.truth - frames.target_neutral, axis=2).mean(axis=1)
+    return sorted(np.argsort(-motion, kind="stable")[:count].tolist())
+
+
+def _camera(frames: Frames, size: tuple[int, int]) -> Camera:
+    """A view that holds both heads down to the lowest vertex that moves: the same for all pictures of a row."""
+    heads = [frames.source_neutral, frames.target_neutral, *frames.source, *frames.truth]
+    motion = np.linalg.norm(frames.truth - frames.target_neutral, axis=2).max(axis=0)
+    moving = np.flatnonzero(motion > max(_STILL, 0.1 * float(motion.max())))
+    points = np.concatenate(heads).astype(np.float64)
+    floor = min(float(h[moving, 1].min()) for h in heads) if len(moving) else float(points[:, 1].min())
+    return look(points[points[:, 1] >= floor - 4.0], size, turn=24.0, raise_=3.0, margin=0.03)
+
+
+def _nice(value: float) -> float:
+    """The next larger of 1, 1.5, 2, 3, 4, 5, 7 times a power of ten."""
+    if not np.isfinite(value) or value <= 0:
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(next(step * power for step in (1, 1.5, 2, 3, 4, 5, 7, 10) if step * power >= value * (1 - 1e-9)))
+
+
+def _take(
+    path: Path,
+    vertices: FloatArray,
+    faces: FloatArray,
+    camera: Camera,
+    size: tuple[int, int],
+    error: FloatArray | None,
+    limit: float,
+) -> None:
+    limits = None if error is None else (0.0, limit)
+    write_image(path, render_mesh(vertices, faces, camera, size, vertex_values=error, limits=limits))

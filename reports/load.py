@@ -1,0 +1,223 @@
+"""Results folders, read back: everything a report says comes from these files."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from reports.cells import CONDITIONS, FINISHED, check_metrics
+from retarget.check import InvalidInput
+from retarget.types import FloatArray, IntArray
+
+SCHEMA = 1
+_FACTS = (
+    "study", "title", "description", "config", "reference", "primary_family", "primary_metric", "primary_region",
+    "methods", "n_examples", "draws", "identities", "expressions", "vertices", "faces", "dataset", "provenance",
+)  # fmt: skip
+_CELL_COLUMNS = (
+    "cell", "method", "source", "target", "n_examples", "draw", *CONDITIONS, "status", "reason", "prepare_seconds",
+    "fit_seconds", "seconds_per_expression", "peak_memory_mb",
+)  # fmt: skip
+_IRRELEVANT = ("paths", "backend", "report", "hydra")  # parts of a configuration that decide no number
+
+
+@dataclass(frozen=True)
+class MethodFacts:
+    """One row of a study's table as its author describes it."""
+
+    name: str
+    label: str
+    description: str
+    kind: str  # "method", "control" or "reference"
+    settings: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class FigureCell:
+    """A cell whose frames were kept: (source, target, n_examples, draw) of one method."""
+
+    method: str
+    source: str
+    target: str
+    n_examples: int
+    draw: int
+    path: Path
+
+    @cached_property
+    def frames(self) -> Frames:
+        with np.load(self.path) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        return Frames(
+            **{name: arrays[name] for name in ("faces", "source_neutral", "target_neutral", "source", "truth")},
+            retargeted=arrays["retargeted"],
+            head=arrays["region_head"],
+            expressions=tuple(str(name) for name in arrays["expressions"]),
+        )
+
+
+@dataclass(frozen=True)
+class Frames:
+    """What one cell's pictures need, in mm."""
+
+    faces: IntArray  # (f, 3)
+    source_neutral: NDArray[np.floating[Any]]  # (n, 3)
+    target_neutral: NDArray[np.floating[Any]]  # (n, 3)
+    source: NDArray[np.floating[Any]]  # (t, n, 3)
+    truth: NDArray[np.floating[Any]]  # (t, n, 3)
+    retargeted: NDArray[np.floating[Any]]  # (t, n, 3)
+    head: IntArray  # (m,) vertices that errors are measured on
+    expressions: tuple[str, ...]
+
+    def error(self, frame: int) -> FloatArray:
+        """(n,) vertex L2 in mm on the head, NaN elsewhere."""
+        error = np.full(len(self.target_neutral), np.nan)
+        difference = self.retargeted[frame, self.head].astype(np.float64) - self.truth[frame, self.head]
+        error[self.head] = np.linalg.norm(difference, axis=1)
+        return error
+
+
+@dataclass(frozen=True)
+class StudyResults:
+    """One results folder: one study under one set of conditions."""
+
+    folder: Path
+    facts: Mapping[str, Any]  # study.json
+    metrics: pd.DataFrame
+    summary: pd.DataFrame
+    cells: pd.DataFrame
+    differs: str = ""  # what sets it apart from the other folders of one report, e.g. "dataset.noise_mm=0.3"
+
+    @cached_property
+    def methods(self) -> tuple[MethodFacts, ...]:
+        return tuple(
+            MethodFacts(m["name"], m["label"], m["description"], m["kind"], m["settings"])
+            for m in self.facts["methods"]
+        )
+
+    def label(self, method: str) -> str:
+        """The name to print for a method."""
+        return next((m.label for m in self.methods if m.name == method), method)
+
+    @cached_property
+    def tested(self) -> tuple[str, ...]:
+        """All rows but the references, which enter no test."""
+        return tuple(m.name for m in self.methods if m.kind != "reference")
+
+    @property
+    def primary(self) -> pd.DataFrame:
+        """Summary rows of the primary metric and region."""
+        return self.at(self.facts["primary_metric"], self.facts["primary_region"])
+
+    def at(self, metric: str, region: str) -> pd.DataFrame:
+        s = self.summary
+        return s[(s["metric"] == metric) & (s["region"] == region)]
+
+    @cached_property
+    def figure_cells(self) -> tuple[FigureCell, ...]:
+        """The cells with stored frames, in the order of the table."""
+        return tuple(self._figure_cells())
+
+    def _figure_cells(self) -> Iterator[FigureCell]:
+        for row in self.cells[self.cells["status"].isin(FINISHED)].to_dict("records"):
+            path = self.folder / str(row["cell"]) / "frames.npz"
+            if path.exists():
+                yield FigureCell(
+                    row["method"], row["source"], row["target"], int(row["n_examples"]), int(row["draw"]), path
+                )
+
+
+def load(folders: Sequence[Path]) -> tuple[StudyResults, ...]:
+    """Read results folders; one without a study.json stands for the results folders inside it.
+
+    Several folders are told apart by what their configurations set differently. Raises InvalidInput for a folder
+    that holds no finished study, or one of another schema.
+    """
+    found = [found for folder in folders for found in _expand(Path(folder))]
+    if not found:
+        raise InvalidInput("report: expected at least one results folder, got none; run a study first.")
+    unique = list({path.resolve(): path for path in found}.values())
+    studies = [_load(path) for path in unique]
+    return tuple(
+        StudyResults(s.folder, s.facts, s.metrics, s.summary, s.cells, differs)
+        for s, differs in zip(studies, _differences(studies), strict=True)
+    )
+
+
+def _expand(folder: Path) -> list[Path]:
+    if (folder / "study.json").exists():
+        return [folder]
+    inside = sorted(path.parent for path in folder.glob("*/study.json"))
+    if not inside:
+        raise InvalidInput(
+            f"{folder}: expected a results folder with a study.json, found none there or one level below. "
+            "Name the folder that a finished run printed, for example results/quantitative."
+        )
+    return inside
+
+
+def _load(folder: Path) -> StudyResults:
+    path = folder / "study.json"
+    try:
+        facts = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InvalidInput(
+            f"{path}: expected JSON, {error}. Run the study again; finished cells are reused."
+        ) from error
+    schema = facts.get("schema") if isinstance(facts, dict) else None
+    if schema != SCHEMA:
+        raise InvalidInput(
+            f"{path}: these results have schema {schema}, this version reads schema {SCHEMA}. "
+            "Nothing was changed. Read them with the version that wrote them, or run the study again elsewhere."
+        )
+    if missing := [name for name in _FACTS if name not in facts]:
+        raise InvalidInput(f"{path}: expected the entries {', '.join(missing)}; run the study again.")
+    metrics = _table(folder / "metrics.parquet")
+    check_metrics(str(folder / "metrics.parquet"), metrics)
+    cells = _table(folder / "cells.parquet")
+    if lacking := [name for name in _CELL_COLUMNS if name not in cells.columns]:
+        raise InvalidInput(
+            f"{folder / 'cells.parquet'}: columns {', '.join(lacking)} are missing; run the study again."
+        )
+    return StudyResults(folder, facts, metrics, _table(folder / "summary.csv"), cells)
+
+
+def _table(path: Path) -> pd.DataFrame:
+    try:
+        return pd.read_csv(path) if path.suffix == ".csv" else pd.read_parquet(path)
+    except FileNotFoundError as error:
+        raise InvalidInput(f"{path}: this file is missing, so the study did not finish; start it again.") from error
+    except (pa.ArrowException, ValueError) as error:
+        raise InvalidInput(
+            f"{path}: cannot be read ({error}); run the study again, finished cells are reused."
+        ) from error
+
+
+def _differences(studies: Sequence[StudyResults]) -> list[str]:
+    if len(studies) == 1:
+        return [""]
+    flat = [dict(_flatten({k: v for k, v in s.facts["config"].items() if k not in _IRRELEVANT})) for s in studies]
+    keys = sorted(set().union(*flat))
+    differing = [key for key in keys if any(str(f.get(key)) != str(flat[0].get(key)) for f in flat)]
+    labels = [", ".join(f"{key}={f[key]}" for key in differing if key in f) for f in flat]
+    if len(set(labels)) < len(labels):
+        return [
+            f"{s.folder.name}: {label}" if label else s.folder.name for s, label in zip(studies, labels, strict=True)
+        ]
+    return labels
+
+
+def _flatten(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in config.items():
+        if isinstance(value, Mapping):
+            yield from _flatten(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value

@@ -1,0 +1,222 @@
+"""The report: results folders in, one PDF out. No method runs; the same folders give the same bytes."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal, cast
+
+import matplotlib
+import numpy as np
+import pandas as pd
+import typst
+from matplotlib.colors import to_hex
+
+from reports import figures, tables
+from reports.colors import ERROR_COLORMAP
+from reports.findings import conditions, favours, findings
+from reports.heads import HeadPages, render_heads
+from reports.load import StudyResults, load
+from reports.statistics import benjamini_hochberg
+from reports.summary import paired_tests
+from reports.text import estimate
+from retarget.check import InvalidInput
+
+_TEMPLATE = Path(__file__).with_name("template.typ")
+_SIGNIFICANT = 0.05
+
+
+def build_report(
+    folders: Sequence[Path], output: Path | None = None, progress: Callable[[str], None] = lambda line: None
+) -> Path:
+    """Write one PDF about one or several results folders and return its path.
+
+    Without an output it is report.pdf in the folder itself, or in the folder that holds all of them. The file is
+    moved into place when it is whole. Raises InvalidInput for folders that cannot be read, or an output that cannot
+    be written.
+    """
+    studies = load(folders)
+    path = Path(output) if output is not None else _default_output(studies)
+    with tempfile.TemporaryDirectory(prefix="report-") as name:
+        work = Path(name)
+        content = describe(studies, work, progress)
+        progress("typesetting")
+        pdf = cast(bytes, typeset(content, work))
+    _write_whole(path, pdf)
+    return path
+
+
+def describe(studies: Sequence[StudyResults], work: Path, progress: Callable[[str], None]) -> dict[str, Any]:
+    """Everything the template prints, as plain data; pictures are written into the folder `work`."""
+    first = studies[0]
+    return {
+        "title": first.facts["title"],
+        "description": " ".join(str(first.facts["description"]).split()),
+        "finished": max(str(s.facts["provenance"]["finished"]) for s in studies),
+        "studies": [_study(study, work, f"study{i}", progress) for i, study in enumerate(studies)],
+        "overview": _overview(studies),
+        "colors": [to_hex(ERROR_COLORMAP(x)) for x in np.linspace(0, 1, 11)],
+    }
+
+
+def typeset(
+    content: dict[str, Any], work: Path, format: Literal["pdf", "png"] = "pdf", ppi: float = 144.0
+) -> bytes | list[bytes]:
+    """Compile the template in the folder `work`, which holds the pictures; bytes, for "png" one per page."""
+    (work / "content.json").write_text(json.dumps(content, default=lambda value: value.item()), encoding="utf-8")
+    shutil.copy(_TEMPLATE, work / "template.typ")
+    compiled = typst.compile(
+        str(work / "template.typ"),
+        root=str(work),
+        format=format,
+        ppi=ppi,
+        font_paths=[str(Path(matplotlib.get_data_path()) / "fonts" / "ttf")],
+        ignore_system_fonts=True,
+        timestamp=int(_time(content["finished"]).timestamp()),
+    )
+    return cast(bytes | list[bytes], compiled)
+
+
+def _study(study: StudyResults, work: Path, prefix: str, progress: Callable[[str], None]) -> dict[str, Any]:
+    facts = study.facts
+    metric, region = facts["primary_metric"], facts["primary_region"]
+    seed = int(facts["provenance"]["seed"])
+    order = [m.name for m in study.methods]
+    rows = study.metrics[study.metrics["metric"] == metric]
+    family = [name for name in facts["primary_family"] if name in order]
+    others = [name for name in study.tested if name not in family]
+    primary = paired_tests(rows[rows["region"] == region], facts["reference"], family, metric, region, seed)
+    controls = paired_tests(rows[rows["region"] == region], facts["reference"], others, metric, region, seed)
+    controls["adjusted"] = benjamini_hochberg(controls["p"])
+    everyone = pd.concat([table for table in (primary, controls) if len(table)] or [primary], ignore_index=True)
+    progress("plots")
+    figures.box_plot(study, work / f"{prefix}-box.svg")
+    figures.example_effect(study, work / f"{prefix}-examples.svg")
+    if len(everyone):
+        figures.ratio_plot(study, everyone, work / f"{prefix}-ratio.svg")
+    progress("rendering heads")
+    heads = render_heads(study, work, prefix)
+    different = _different_regions(study, rows, seed)
+    regions = []
+    for count in facts["n_examples"]:
+        names, body = tables.region_rows(study, count, different.get(count, set()))
+        regions.append({"count": count, "regions": [name.replace("_", " ") for name in names], "rows": body})
+    return {
+        "label": study.differs,
+        "title": facts["title"],
+        "conditions": conditions(study),
+        "favours": favours(study),
+        "facts": _facts(study),
+        "findings": list(findings(study, primary)),
+        "counts": facts["n_examples"],
+        "reference": study.label(facts["reference"]),
+        "metric": metric,
+        "region": region,
+        "pairs": sorted(set(study.primary.loc[study.primary["n_pairs"] > 0, "n_pairs"].astype(int))),
+        "summary": tables.summary_rows(study),
+        "box": f"{prefix}-box.svg",
+        "examples": f"{prefix}-examples.svg" if len(facts["n_examples"]) > 1 else None,
+        "ratio": f"{prefix}-ratio.svg" if len(everyone) else None,
+        "regions": regions,
+        "heads": _heads(heads),
+        "tests": tables.test_rows(study, primary.assign(adjusted=primary["p_holm"])),
+        "controls": tables.test_rows(study, controls),
+        "times": tables.time_rows(study),
+        "statuses": tables.status_rows(study),
+        "cells": len(study.cells),
+        "settings": tables.setting_rows(study),
+        "protocol": {
+            "identities": len(facts["identities"]),
+            "names": ", ".join(facts["identities"]),
+            "draws": facts["draws"],
+            "expressions": facts["expressions"],
+            "vertices": facts["vertices"],
+            "tests": int(study.metrics.groupby(["source", "target", "draw"])["expression"].nunique().max()),
+            "correspondence": str(study.cells["correspondence"].iloc[0]),
+        },
+    }
+
+
+def _different_regions(study: StudyResults, rows: pd.DataFrame, seed: int) -> dict[int, set[tuple[str, str]]]:
+    """Per example count (method, region) that differ from the reference after Benjamini-Hochberg over all of them."""
+    reference = study.facts["reference"]
+    metric = study.facts["primary_metric"]
+    found = [
+        paired_tests(here, reference, study.tested, metric, str(region), seed).assign(region=region)
+        for region, here in rows.groupby("region", sort=False)
+    ]
+    tests = pd.concat(found, ignore_index=True)
+    different: dict[int, set[tuple[str, str]]] = {}
+    for test in tests[benjamini_hochberg(tests["p"]) < _SIGNIFICANT].to_dict("records"):
+        different.setdefault(int(test["n_examples"]), set()).add((test["method"], test["region"]))
+    return different
+
+
+def _facts(study: StudyResults) -> list[tuple[str, str]]:
+    p, data = study.facts["provenance"], study.facts["dataset"]
+    packages = ", ".join(f"{name} {version}" for name, version in sorted(p["packages"].items()))
+    minutes, seconds = divmod(round(float(p["wall_seconds"])), 60)
+    return [
+        ("Study", f"{study.facts['study']}, seed {p['seed']}"),
+        ("Conditions", conditions(study)),
+        ("Identities", f"{len(study.facts['identities'])}: {', '.join(study.facts['identities'])}"),
+        ("Size", f"{study.facts['vertices']:,} vertices, {study.facts['faces']:,} triangles, "
+                 f"{study.facts['expressions']} expressions, {len(study.cells):,} cells"),
+        ("Run", f"{_time(p['finished']):%d %B %Y, %H:%M} UTC, {minutes} min {seconds} s"),
+        ("Machine", f"{p['platform']}, {p['cores']} cores, {p['threads']} threads"),
+        ("Software", f"version {p['project_version']}, Python {p['python']}, {packages}"),
+        ("Code", str(p["code_hash"])[:16]),
+        ("Data", str(data["fingerprint"])[:16]),
+    ]  # fmt: skip
+
+
+def _heads(heads: HeadPages | None) -> dict[str, Any] | None:
+    return None if heads is None else asdict(heads)
+
+
+def _overview(studies: Sequence[StudyResults]) -> dict[str, Any] | None:
+    """Methods x studies, side by side, where the report covers several."""
+    if len(studies) < 2:
+        return None
+    labels = {m.name: m.label for s in studies for m in s.methods}
+    counts = sorted({count for s in studies for count in s.facts["n_examples"]})
+    rows = []
+    for name, label in labels.items():
+        for count in counts:
+            cells = []
+            for s in studies:
+                found = s.primary[(s.primary["method"] == name) & (s.primary["n_examples"] == count)]
+                r = found.iloc[0] if len(found) else None
+                cells.append("not run" if r is None else estimate(r["mean"], r["ci_low"], r["ci_high"]))
+            rows.append({"label": label, "count": count, "cells": cells})
+    return {"studies": [s.differs for s in studies], "rows": rows, "counts": len(counts)}
+
+
+def _default_output(studies: Sequence[StudyResults]) -> Path:
+    parents = [study.folder.resolve() for study in studies]
+    return Path(os.path.commonpath(parents)) / "report.pdf" if len(parents) > 1 else studies[0].folder / "report.pdf"
+
+
+def _write_whole(path: Path, content: bytes) -> None:
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_bytes(content)
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True) if path.parent.is_dir() else None
+        raise InvalidInput(
+            f"{path}: the report cannot be written ({error.strerror or error}). Nothing was overwritten; free some "
+            "space, make the folder writable, or choose another output."
+        ) from error
+
+
+def _time(text: str) -> datetime:
+    moment = datetime.fromisoformat(text)
+    return moment.astimezone(UTC) if moment.tzinfo else moment.replace(tzinfo=UTC)

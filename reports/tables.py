@@ -1,0 +1,187 @@
+"""Results as rows of printed text, ready for the terminal and the report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.colors import to_hex
+
+from reports.colors import ERROR_COLORMAP
+from reports.load import StudyResults
+from reports.text import number, p_value, seconds
+
+DASH = "\N{EN DASH}"
+Row = dict[str, Any]
+
+
+def summary_rows(study: StudyResults) -> list[Row]:
+    """Methods x example counts of the primary metric: {label, kind, cells: [{value, interval, ratio, p, best}]}."""
+    primary, counts = study.primary.set_index(["method", "n_examples"]), study.facts["n_examples"]
+    best = {count: _smallest(study, primary, count) for count in counts}
+    rows: list[Row] = []
+    for method in study.methods:
+        cells = []
+        for count in counts:
+            if (method.name, count) not in primary.index:
+                cells.append({"value": "not run", "interval": "", "ratio": "", "best": False, "failed": 0})
+                continue
+            r = primary.loc[(method.name, count)]
+            known = math.isfinite(r["mean"])
+            cells.append(
+                {
+                    "value": number(r["mean"]) if known else "no result",
+                    "interval": f"[{number(r['ci_low'])}, {number(r['ci_high'])}]" if known else "",
+                    "ratio": number(r["ratio"], 2) if math.isfinite(r["ratio"]) else "",
+                    "best": method.name == best[count],
+                    "failed": int(r["n_failed"]),
+                }
+            )
+        reference = method.name == study.facts["reference"]
+        rows.append({"label": method.label, "kind": method.kind, "reference": reference, "cells": cells})
+    return rows
+
+
+def region_rows(study: StudyResults, count: int, different: set[tuple[str, str]]) -> tuple[list[str], list[Row]]:
+    """(regions, rows {label, cells: [{text, fill, dark, strong}]}) of the primary metric at one example count.
+
+    `different` holds (method, region) whose difference to the reference survives the correction.
+    """
+    s = study.summary
+    rows = s[(s["metric"] == study.facts["primary_metric"]) & (s["n_examples"] == count)]
+    primary = study.facts["primary_region"]
+    regions = [primary, *sorted(set(rows["region"]) - {primary})]
+    mean = rows.pivot(index="method", columns="region", values="mean")
+    shown = [m for m in study.methods if m.name in mean.index]
+    scale = [mean.loc[m.name].max() for m in shown if m.name != "neutral"]
+    top = float(np.nanmax(scale)) if scale and np.isfinite(scale).any() else 1.0
+    return regions, [
+        {
+            "label": m.label,
+            "kind": m.kind,
+            "cells": [
+                _heat(mean.loc[m.name, region], top, (m.name, region) in different, m.name == "neutral")
+                for region in regions
+            ],
+        }
+        for m in shown
+    ]
+
+
+def _heat(value: float, top: float, strong: bool, plain: bool) -> Row:
+    if not math.isfinite(value):
+        return {"text": "n/a", "fill": "#ffffff", "dark": False, "strong": False}
+    share = 0.0 if plain else 0.62 * min(value / top, 1.0)
+    fill = "#ffffff" if plain else to_hex(ERROR_COLORMAP(share))
+    return {"text": number(value, 2), "fill": fill, "dark": share > 0.5, "strong": strong}
+
+
+def test_rows(study: StudyResults, tests: pd.DataFrame) -> list[Row]:
+    """Rows of `summary.paired_tests` as text, ordered by example count and the study's table."""
+    order = {m.name: i for i, m in enumerate(study.methods)}
+    ordered = tests.assign(order=tests["method"].map(order)).sort_values(["n_examples", "order"], kind="stable")
+    return [
+        {
+            "count": int(r["n_examples"]),
+            "label": study.label(r["method"]),
+            "pairs": int(r["n_pairs"]),
+            "ratio": number(r["ratio"], 2),
+            "interval": f"[{number(r['ratio_low'], 2)}, {number(r['ratio_high'], 2)}]",
+            "effect": number(r["effect"], 2),
+            "wins": f"{100 * r['win_rate']:.0f} %",
+            "p": p_value(r["p"]),
+            "adjusted": p_value(r["adjusted"]),
+            "p_targets": p_value(r["p_targets"]),
+            "p_naive": p_value(r["p_naive"]),
+        }
+        for _, r in ordered.iterrows()
+    ]
+
+
+def time_rows(study: StudyResults) -> list[Row]:
+    """Median and quartiles of set-up and per-expression times: {label, prepare, fit: [per count], frame, memory}."""
+    rows: list[Row] = []
+    for m in study.methods:
+        if m.kind == "reference":
+            continue
+        c = study.cells[study.cells["method"] == m.name]
+        per_pair = c.drop_duplicates(["source", "target"])["prepare_seconds"]
+        rows.append(
+            {
+                "label": m.label,
+                "prepare": _quartiles(per_pair),
+                "fit": [
+                    _quartiles(c.loc[c["n_examples"] == count, "fit_seconds"]) for count in study.facts["n_examples"]
+                ],
+                "frame": _quartiles(c["seconds_per_expression"]),
+                "memory": number(float(c["peak_memory_mb"].to_numpy(dtype=np.float64).max(initial=0.0)), 0),
+            }
+        )
+    return rows
+
+
+def _quartiles(values: pd.Series[float]) -> Row:
+    known = values.dropna()
+    if known.empty:
+        return {"median": "n/a", "range": ""}
+    low, middle, high = np.quantile(known.to_numpy(dtype=np.float64), [0.25, 0.5, 0.75])
+    return {"median": seconds(middle), "range": f"{seconds(low)} {DASH} {seconds(high)}"}
+
+
+def status_rows(study: StudyResults) -> list[Row]:
+    """Every method x example count x status other than `ok`: {label, count, status, cells, of, reason}."""
+    unfinished = study.cells[study.cells["status"] != "ok"]
+    order = {m.name: i for i, m in enumerate(study.methods)}
+    groups: Any = unfinished.groupby(["method", "n_examples", "status"], sort=False)
+    rows = [
+        {
+            "order": order.get(method, len(order)),
+            "label": study.label(method),
+            "count": int(count),
+            "status": str(status).replace("_", " "),
+            "cells": len(group),
+            "of": int(((study.cells["method"] == method) & (study.cells["n_examples"] == count)).sum()),
+            "reason": _reasons(group["reason"]),
+        }
+        for (method, count, status), group in groups
+    ]
+    return sorted(rows, key=lambda row: (row["order"], row["count"], row["status"]))
+
+
+def _reasons(reasons: pd.Series[str]) -> str:
+    counts = reasons.fillna("").replace("", "no reason given").value_counts()
+    shown = [f"{reason} ({n} cells)" if len(counts) > 1 else str(reason) for reason, n in counts.head(3).items()]
+    return "; ".join(shown) + (f"; {len(counts) - 3} other reasons" if len(counts) > 3 else "")
+
+
+def setting_rows(study: StudyResults) -> list[Row]:
+    """{label, kind, description, settings} of every row of the study's table."""
+    return [
+        {
+            "label": m.label,
+            "kind": m.kind,
+            "description": " ".join(m.description.split()),
+            "settings": [f"{key} = {value}" for key, value in _settings(m.settings)],
+        }
+        for m in study.methods
+    ]
+
+
+def _settings(settings: Any) -> Iterator[tuple[str, Any]]:
+    for key, value in settings.items():
+        if key == "_target_":
+            continue
+        if isinstance(value, dict):
+            yield from ((f"{key}.{inner}", v) for inner, v in _settings(value))
+        else:
+            yield key, value
+
+
+def _smallest(study: StudyResults, primary: pd.DataFrame, count: int) -> str | None:
+    names: Sequence[str] = [name for name in study.tested if (name, count) in primary.index]
+    means = {name: float(primary.loc[(name, count), "mean"]) for name in names}
+    finite = {name: mean for name, mean in means.items() if math.isfinite(mean)}
+    return min(finite, key=finite.__getitem__) if finite else None
