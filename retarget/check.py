@@ -44,8 +44,9 @@ def _finite_and_counted(name: str, v: FloatArray, count: int | None) -> FloatArr
             f"{name}: expected {count} vertices as in the source neutral, got {v.shape[-2]}. "
             "All meshes of a study share one topology; bring them into it (for example by non-rigid registration) first."
         )
-    bad = ~np.isfinite(v).all(axis=-1)
-    if bad.any():
+    finite = np.isfinite(v)
+    if not finite.all():
+        bad = ~finite.all(axis=-1)
         where = tuple(int(i) for i in np.argwhere(bad)[0])
         raise InvalidInput(
             f"{name}: {int(bad.sum())} vertices are NaN or infinite, the first at index {where}. "

@@ -72,6 +72,16 @@ def test_neutral_stays_neutral_to_the_bit(weighting):
     np.testing.assert_array_equal(transfer(source[None])[0], target)
 
 
+def test_anchors_move_as_in_the_source_times_the_ratio_of_sizes():
+    source, target, (_, faces) = head(1), head(2), ball()
+    anchors = np.arange(5, 60)
+    transfer = DeformationTransfer(source, target, faces, anchors)
+    frames = expressions(1, 3)
+    wanted = transfer.size_ratio * (frames - source)[:, anchors].mean(axis=1)
+    assert np.abs(wanted).max() > 0.1
+    np.testing.assert_allclose(transfer.displacements(frames)[:, anchors].mean(axis=1), wanted, atol=1e-12)
+
+
 def test_anchors_keep_the_translation_of_the_source():
     source, target, (_, faces) = head(1), head(2), ball()
     transfer = DeformationTransfer.of(Pair(faces, source, target, regions()), Weighting.UNIFORM)
