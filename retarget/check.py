@@ -42,7 +42,7 @@ def _finite_and_counted(name: str, v: FloatArray, count: int | None) -> FloatArr
     if count is not None and v.shape[-2] != count:
         raise InvalidInput(
             f"{name}: expected {count} vertices as in the source neutral, got {v.shape[-2]}. "
-            "All meshes of a study share one topology; bring them into it (for example by non-rigid registration) first."
+            "All meshes share one topology; bring them into it first, for example by non-rigid registration."
         )
     finite = np.isfinite(v)
     if not finite.all():
