@@ -120,7 +120,7 @@ def ratio_plot(study: StudyResults, tests: pd.DataFrame, path: Path) -> None:
     """
     values, counts = pair_values(study), study.facts["n_examples"]
     names = [m for m in study.methods if m.name in set(tests["method"])]
-    with _figure(path, WIDTH, 0.62 + 0.185 * max(len(names), 1)) as figure:
+    with _figure(path, WIDTH, 0.65 + 0.22 * max(len(names), 1)) as figure:
         panels = figure.subplots(1, len(counts), sharey=True, squeeze=False)[0]
         bottom = 0.45 / figure.get_figheight()
         figure.subplots_adjust(left=0.2, right=0.99, bottom=bottom, top=1 - 0.2 / figure.get_figheight(), wspace=0.08)
@@ -132,11 +132,14 @@ def ratio_plot(study: StudyResults, tests: pd.DataFrame, path: Path) -> None:
             for i, m in enumerate(names):
                 mine = here[here["method"] == m.name]["value"].to_numpy()
                 if m.name not in rows.index or len(mine) == 0 or len(mine) != len(other):
-                    axes.text(1, i, "no result", ha="center", va="center", fontsize=6, color="#a3216f")
+                    axes.text(
+                        0.5, i, "no result", ha="center", va="center", fontsize=6, color="#a3216f",
+                        transform=axes.get_yaxis_transform(),
+                    )  # fmt: skip
                     continue
                 r = rows.loc[m.name]
                 ratios = mine / other
-                axes.plot(ratios, i + _spread(len(ratios)), ".", ms=2.6, color=_color(study, m), alpha=0.45, mew=0)
+                axes.plot(ratios, i + _spread(len(ratios)), ".", ms=4.5, color=_color(study, m), alpha=0.45, mew=0)
                 axes.plot([r["ratio_low"], r["ratio_high"]], [i, i], lw=1.6, color=_color(study, m))
                 axes.plot(r["ratio"], i, "D", ms=3.6, color=_color(study, m), mec="white", mew=0.5)
                 everything += [*ratios.tolist(), float(r["ratio_low"]), float(r["ratio_high"])]
@@ -167,7 +170,7 @@ def _box(axes: Axes, at: float, width: float, values: FloatArray, color: str) ->
         capprops={"color": color, "linewidth": 0.8},
         manage_ticks=False,
     )
-    axes.plot(at + width * 0.5 * _spread(len(values)), values, ".", ms=2.4, color=color, alpha=0.75, mew=0)
+    axes.plot(at + width * 0.5 * _spread(len(values)), values, ".", ms=4.0, color=color, alpha=0.8, mew=0)
 
 
 def _spread(count: int) -> FloatArray:
@@ -194,17 +197,23 @@ def _error_name(study: StudyResults) -> str:
 
 
 def _legend(figure: Figure, study: StudyResults, methods: list[MethodFacts]) -> None:
-    handles = [Patch(facecolor=_color(study, m), alpha=0.6, edgecolor=_color(study, m), label=m.label) for m in methods]
+    rows = -(-len(methods) // 5)
+    columns = -(-len(methods) // max(rows, 1))
+    by_column = [m for column in range(columns) for m in methods[column::columns]]  # matplotlib fills columns first
+    handles = [
+        Patch(facecolor=_color(study, m), alpha=0.6, edgecolor=_color(study, m), label=m.label) for m in by_column
+    ]
     figure.legend(
         handles=handles,
         loc="lower center",
-        ncols=min(5, max(len(handles), 1)),
+        ncols=max(columns, 1),
         frameon=False,
         bbox_to_anchor=(0.53, 0.0),
         handlelength=1.1,
         handleheight=0.9,
         columnspacing=1.6,
-        borderpad=0,
+        borderpad=0.4,
+        borderaxespad=0,
     )
 
 

@@ -20,8 +20,8 @@ def supported(test: pd.Series[float]) -> bool:
 
 
 def findings(study: StudyResults, tests: pd.DataFrame) -> tuple[str, ...]:
-    """Sentences for the title page, one or two per example count; tests are those of the primary family."""
-    said = [sentence for count in study.facts["n_examples"] for sentence in _at(study, tests, count)]
+    """Statements for the title page, one per example count; tests are those of the primary family."""
+    said = [_at(study, tests, count) for count in study.facts["n_examples"]]
     if limit := _limit(study):
         said.append(limit)
     without = int((~study.cells["status"].isin(["ok", "not_converged"])).sum())
@@ -37,11 +37,11 @@ def findings(study: StudyResults, tests: pd.DataFrame) -> tuple[str, ...]:
     return tuple(said)
 
 
-def _at(study: StudyResults, tests: pd.DataFrame, count: int) -> list[str]:
+def _at(study: StudyResults, tests: pd.DataFrame, count: int) -> str:
     rows = study.primary
     rows = rows[(rows["n_examples"] == count) & rows["method"].isin(study.tested) & rows["mean"].notna()]
     if rows.empty:
-        return [f"{count} examples: no cell was finished by all compared methods."]
+        return f"{count} examples: no cell was finished by all compared methods."
     best = rows.iloc[int(np.argmin(rows["mean"]))]
     unit = study.metrics.loc[study.metrics["metric"] == study.facts["primary_metric"], "unit"].iloc[0]
     value = estimate(best["mean"], best["ci_low"], best["ci_high"])
@@ -53,19 +53,16 @@ def _at(study: StudyResults, tests: pd.DataFrame, count: int) -> list[str]:
         r = reference.iloc[0]
         value = estimate(r["mean"], r["ci_low"], r["ci_high"])
         said[0] += f"; the reference, {study.label(r['method'])}, has {value} {unit}."
-    here = tests[tests["n_examples"] == count]
+    here = tests[(tests["n_examples"] == count) & (tests["n_pairs"] > 0)]
     claims = [row for _, row in here.iterrows() if supported(row)]
     for smaller, word in ((True, "smaller"), (False, "larger")):
         names = [_claim(study, row) for row in claims if (row["ratio"] < 1) == smaller]
         if names:
-            reference_name = study.label(study.facts["reference"])
-            said.append(f"{count} examples, error {word} than that of {reference_name}: {', '.join(names)}.")
-    open_ = [study.label(row["method"]) for _, row in here.iterrows() if not supported(row)]
-    if open_ and claims:
-        said.append(f"{count} examples, no difference claimed: {', '.join(open_)}.")
-    elif open_:
-        said.append(f"{count} examples: no difference to the reference is claimed for {', '.join(open_)}.")
-    return said
+            said.append(f"Error {word} than that of {study.label(study.facts['reference'])}: {', '.join(names)}.")
+    unclaimed = [study.label(str(row["method"])) for _, row in here.iterrows() if not supported(row)]
+    if unclaimed and not _limit(study):
+        said.append(f"No difference to it is claimed for {', '.join(unclaimed)}.")
+    return " ".join(said)
 
 
 def _claim(study: StudyResults, row: pd.Series[float]) -> str:

@@ -11,12 +11,12 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from reports.camera import Camera, look
-from reports.load import FigureCell, Frames, StudyResults
+from reports.load import FigureCell, Frames, MethodFacts, StudyResults
 from reports.render import render_mesh, write_image
 from retarget.types import FloatArray
 
 SIZE = (330, 420)  # pixels of one head: 280 per inch at 30 mm
-LARGE = (520, 660)
+_COLUMNS = 9  # methods side by side on one page
 _STILL = 0.5  # mm: a vertex that no frame moves further does not decide how low the picture reaches
 
 
@@ -101,8 +101,12 @@ def render_heads(study: StudyResults, folder: Path, prefix: str, expressions: in
     first = next((c for c in cells if c.method == study.facts["reference"]), cells[0])
     limit = _nice(max(np.nanquantile(_errors(c), 0.99) for c in cells if c.method != "neutral"))
     darkroom = _Darkroom(folder, limit)
+    shown = [m for m in study.methods if m.name != "neutral"]
+    parts = [shown[i : i + _COLUMNS] for i in range(0, len(shown), _COLUMNS)]
     pages = tuple(
-        _page(study, darkroom, prefix, first, count, expressions) for count in dict.fromkeys((counts[0], counts[-1]))
+        _page(study, darkroom, prefix, first, count, expressions, part)
+        for count in dict.fromkeys((counts[0], counts[-1]))
+        for part in parts
     )
     worst = tuple(_worst(study, darkroom, prefix, cells))
     darkroom.develop()
@@ -110,7 +114,13 @@ def render_heads(study: StudyResults, folder: Path, prefix: str, expressions: in
 
 
 def _page(
-    study: StudyResults, room: _Darkroom, prefix: str, first: FigureCell, count: int, expressions: int
+    study: StudyResults,
+    room: _Darkroom,
+    prefix: str,
+    first: FigureCell,
+    count: int,
+    expressions: int,
+    methods: Sequence[MethodFacts],
 ) -> HeadPage:
     at = (first.source, first.target, count, first.draw)
     shown = {c.method: c for c in study.figure_cells if (c.source, c.target, c.n_examples, c.draw) == at}
@@ -123,9 +133,7 @@ def _page(
             Head(f"source {first.source}", room.order(f"{name}-source", frames.source[t], frames, camera, SIZE, None)),
             Head(f"truth {first.target}", room.order(f"{name}-truth", frames.truth[t], frames, camera, SIZE, None)),
         ]
-        for m in study.methods:
-            if m.name == "neutral":
-                continue
+        for m in methods:
             if m.name not in shown:
                 heads.append(Head(m.label, None, "no result"))
                 continue

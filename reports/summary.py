@@ -62,7 +62,7 @@ def paired_tests(
     """Each method against the reference, per conditions and example count.
 
     Columns: method, CONDITIONS, n_examples, those of `statistics.PairedComparison`, and p_holm, corrected over all
-    methods and example counts of one set of conditions.
+    methods and example counts of one set of conditions. A method without any result has n_pairs 0 and no values.
     """
     found = []
     for block in blocks(metrics):
@@ -70,7 +70,10 @@ def paired_tests(
             continue
         resamples = block.resamples(seed)
         for method in dict.fromkeys(methods):
-            if method in (reference, *REFERENCE_ROWS) or method not in block.compared:
+            if method in (reference, *REFERENCE_ROWS) or method not in block.methods:
+                continue
+            if method not in block.compared:
+                found.append({**_labels(block, method), "n_pairs": 0})
                 continue
             comparison = compare(
                 block.cells(method, metric, region),

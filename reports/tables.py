@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -76,29 +76,31 @@ def _heat(value: float, top: float, strong: bool, plain: bool) -> Row:
         return {"text": "n/a", "fill": "#ffffff", "dark": False, "strong": False}
     share = 0.0 if plain else 0.62 * min(value / top, 1.0)
     fill = "#ffffff" if plain else to_hex(ERROR_COLORMAP(share))
-    return {"text": number(value, 2), "fill": fill, "dark": share > 0.5, "strong": strong}
+    return {"text": number(value), "fill": fill, "dark": share > 0.5, "strong": strong}
 
 
 def test_rows(study: StudyResults, tests: pd.DataFrame) -> list[Row]:
     """Rows of `summary.paired_tests` as text, ordered by example count and the study's table."""
     order = {m.name: i for i, m in enumerate(study.methods)}
     ordered = tests.assign(order=tests["method"].map(order)).sort_values(["n_examples", "order"], kind="stable")
-    return [
-        {
-            "count": int(r["n_examples"]),
-            "label": study.label(r["method"]),
-            "pairs": int(r["n_pairs"]),
-            "ratio": number(r["ratio"], 2),
-            "interval": f"[{number(r['ratio_low'], 2)}, {number(r['ratio_high'], 2)}]",
-            "effect": number(r["effect"], 2),
-            "wins": f"{100 * r['win_rate']:.0f} %",
-            "p": p_value(r["p"]),
-            "adjusted": p_value(r["adjusted"]),
-            "p_targets": p_value(r["p_targets"]),
-            "p_naive": p_value(r["p_naive"]),
-        }
-        for _, r in ordered.iterrows()
-    ]
+    return [_test_row(study, row) for row in ordered.to_dict("records")]
+
+
+def _test_row(study: StudyResults, r: Mapping[Any, Any]) -> Row:
+    row: Row = {"count": int(r["n_examples"]), "label": study.label(r["method"]), "pairs": int(r["n_pairs"])}
+    if not row["pairs"]:
+        nothing = dict.fromkeys(("ratio", "interval", "effect", "wins", "p", "p_targets", "p_naive"), "")
+        return row | nothing | {"adjusted": "no result"}
+    return row | {
+        "ratio": number(r["ratio"], 2),
+        "interval": f"[{number(r['ratio_low'], 2)}, {number(r['ratio_high'], 2)}]",
+        "effect": number(r["effect"], 2),
+        "wins": f"{100 * r['win_rate']:.0f} %",
+        "p": p_value(r["p"]),
+        "adjusted": p_value(r["adjusted"]),
+        "p_targets": p_value(r["p_targets"]),
+        "p_naive": p_value(r["p_naive"]),
+    }
 
 
 def time_rows(study: StudyResults) -> list[Row]:

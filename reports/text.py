@@ -8,11 +8,11 @@ MINUS = "\N{MINUS SIGN}"
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Fixed digits; three significant ones for small values; `n/a` for NaN."""
-    if value is None or not math.isfinite(value):
+    """Fixed digits, or one significant one where they would all be zero; `n/a` for NaN."""
+    if not math.isfinite(value):
         return "n/a"
-    if value != 0 and abs(value) < 10 ** (1 - digits):
-        return f"{value:.2g}".replace("-", MINUS)
+    if value != 0 and abs(value) < 0.5 * 10**-digits:
+        return f"{value:.1g}".replace("-", MINUS)
     return f"{value:.{digits}f}".replace("-", MINUS)
 
 
@@ -26,10 +26,10 @@ def estimate(value: float, low: float, high: float, digits: int = 3) -> str:
 
 
 def p_value(p: float) -> str:
-    """Two significant digits, `not testable` for NaN."""
-    if p is None or not math.isfinite(p):
+    """Three decimals, two significant digits below; `not testable` for NaN."""
+    if not math.isfinite(p):
         return "not testable"
-    return "< 0.0001" if p < 1e-4 else f"{p:.2g}" if p < 0.1 else f"{p:.2f}"
+    return "< 0.0001" if p < 1e-4 else f"{p:.2g}" if p < 0.01 else f"{p:.3f}"
 
 
 def seconds(value: float) -> str:
