@@ -16,10 +16,10 @@ class NotPositiveDefinite(ArithmeticError):
 class CholeskyFactor:
     """The factor of a symmetric positive definite matrix (m, m), in double precision.
 
-    Only the lower triangle is read. The same matrix and right-hand side give the same bits, whatever the number of
-    threads; the columns of a right-hand side do not influence each other beyond rounding. cholespy accepts NaN and
+    The same matrix and right-hand side give the same bits, whatever the number of threads; the columns of a
+    right-hand side do not influence each other beyond rounding. cholespy reads one triangle and accepts NaN and
     matrices that are singular up to rounding, so construction solves once for a known vector and raises
-    NotPositiveDefinite if it does not come back.
+    NotPositiveDefinite if that does not come back.
     """
 
     def __init__(self, matrix: sp.sparray | sp.spmatrix, name: str = "matrix") -> None:

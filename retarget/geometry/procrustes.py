@@ -15,9 +15,12 @@ def rigid_align(moving: FloatArray, fixed: FloatArray) -> tuple[FloatArray, Floa
     is no scale: heads keep their true size. Raises InvalidInput if the points leave the rotation undetermined.
     """
     moving = check_vertices("moving", moving)
-    fixed = check_vertices("fixed", fixed, len(moving))
-    if not len(moving):
-        raise InvalidInput("rigid_align: expected at least 3 points, got none; the region may be empty.")
+    fixed = check_vertices("fixed", fixed)
+    if len(moving) != len(fixed) or len(moving) < 3:
+        raise InvalidInput(
+            f"rigid_align: expected at least 3 points and as many moving as fixed, got {len(moving)} and {len(fixed)}; "
+            "a region may be empty or belong to another topology."
+        )
     moving_mean, fixed_mean = moving.mean(axis=0), fixed.mean(axis=0)
     u, sigma, vt = np.linalg.svd((fixed - fixed_mean).T @ (moving - moving_mean))
     sign = np.sign(np.linalg.det(u @ vt))
