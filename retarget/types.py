@@ -20,20 +20,37 @@ IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
+class AffinePoint:
+    """A point that follows the skin without lying on it, such as a jaw joint: an affine combination of vertices."""
+
+    indices: IntArray  # (m,)
+    weights: FloatArray  # (m,) that sum to one, so that the point moves with the head
+
+    def __call__(self, vertices: FloatArray) -> FloatArray:
+        """(..., 3) mm on vertices (..., n, 3) mm."""
+        return self.weights @ vertices[..., self.indices, :]
+
+
+@dataclass(frozen=True)
 class Regions:
     """Named parts of one topology, shared by every identity in it.
 
     vertices   name -> (m,) sorted vertex indices, e.g. ``head``, ``face``, ``cranium``
     loops      name -> (m,) vertex indices in order round a closed loop, e.g. ``lip_contour``
-    triangles  name -> (m,) indices into ``faces``, e.g. ``eye_opening_left``
+    triangles  name -> (m,) indices into ``faces``, e.g. ``eye_socket_left``
+    patches    name -> (m, 3) triangles that need not be faces: the supplementary meshes of AnaConDaR (Fig. 4),
+               e.g. ``eye_opening_left``
     landmarks  name -> vertex index
+    points     name -> point off the skin, e.g. ``condyle_left``
     mirror     (n,) index of each vertex's mirror image, or None if unknown
     """
 
     vertices: Mapping[str, IntArray] = field(default_factory=dict)
     loops: Mapping[str, IntArray] = field(default_factory=dict)
     triangles: Mapping[str, IntArray] = field(default_factory=dict)
+    patches: Mapping[str, IntArray] = field(default_factory=dict)
     landmarks: Mapping[str, int] = field(default_factory=dict)
+    points: Mapping[str, AffinePoint] = field(default_factory=dict)
     mirror: IntArray | None = None
 
 
