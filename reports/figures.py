@@ -60,7 +60,7 @@ def box_plot(study: StudyResults, path: Path) -> None:
     values, methods = pair_values(study), _drawn(study)
     counts = study.facts["n_examples"]
     with _figure(path, WIDTH, 3.25) as figure:
-        axes = figure.add_axes((0.075, 0.25, 0.92, 0.72))
+        axes = figure.add_axes((0.075, 0.22, 0.92, 0.75))
         step = 0.84 / max(len(methods), 1)
         for group, count in enumerate(counts):
             for i, m in enumerate(methods):
@@ -122,7 +122,7 @@ def ratio_plot(study: StudyResults, tests: pd.DataFrame, path: Path) -> None:
     names = [m for m in study.methods if m.name in set(tests["method"])]
     with _figure(path, WIDTH, 0.65 + 0.22 * max(len(names), 1)) as figure:
         panels = figure.subplots(1, len(counts), sharey=True, squeeze=False)[0]
-        bottom = 0.45 / figure.get_figheight()
+        bottom = 0.47 / figure.get_figheight()
         figure.subplots_adjust(left=0.2, right=0.99, bottom=bottom, top=1 - 0.2 / figure.get_figheight(), wspace=0.08)
         everything: list[float] = []
         for axes, count in zip(panels, counts, strict=True):
@@ -154,7 +154,13 @@ def ratio_plot(study: StudyResults, tests: pd.DataFrame, path: Path) -> None:
         panels[0].set_yticks(range(len(names)), [m.label for m in names])
         panels[0].set_ylim(len(names) - 0.5, -0.5)
         reference = study.label(study.facts["reference"])
-        figure.text(0.595, 0.02, f"error / error of {reference}   (left of 1: smaller error)", ha="center", va="bottom")
+        figure.text(
+            0.595,
+            0.05 / figure.get_figheight(),
+            f"error / error of {reference}   (left of 1: smaller error)",
+            ha="center",
+            va="bottom",
+        )
 
 
 def _box(axes: Axes, at: float, width: float, values: FloatArray, color: str) -> None:

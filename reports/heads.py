@@ -99,7 +99,7 @@ def render_heads(study: StudyResults, folder: Path, prefix: str, expressions: in
         return None
     counts = sorted({c.n_examples for c in cells})
     first = next((c for c in cells if c.method == study.facts["reference"]), cells[0])
-    limit = _nice(max(np.nanquantile(_errors(c), 0.99) for c in cells if c.method != "neutral"))
+    limit = _nice(max((float(np.nanquantile(_errors(c), 0.97)) for c in cells if c.method != "neutral"), default=1.0))
     darkroom = _Darkroom(folder, limit)
     shown = [m for m in study.methods if m.name != "neutral"]
     parts = [shown[i : i + _COLUMNS] for i in range(0, len(shown), _COLUMNS)]

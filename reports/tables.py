@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -183,7 +183,6 @@ def _settings(settings: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _smallest(study: StudyResults, primary: pd.DataFrame, count: int) -> str | None:
-    names: Sequence[str] = [name for name in study.tested if (name, count) in primary.index]
-    means = {name: float(primary.loc[(name, count), "mean"]) for name in names}
-    finite = {name: mean for name, mean in means.items() if math.isfinite(mean)}
-    return min(finite, key=finite.__getitem__) if finite else None
+    means: Mapping[Any, float] = primary["mean"].dropna().to_dict()
+    known = [name for name in study.tested if (name, count) in means]
+    return min(known, key=lambda name: means[(name, count)], default=None)

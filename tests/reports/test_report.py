@@ -1,0 +1,139 @@
+"""The PDF: what it says, that it repeats to the byte, and that it is whole or absent."""
+
+from __future__ import annotations
+
+import io
+import os
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from pypdf import PdfReader
+
+from reports.findings import findings, supported
+from reports.load import load
+from reports.report import build_report
+from reports.summary import paired_tests
+from retarget.check import InvalidInput
+from tests.reports.example_study import FAMILY, write_example_study
+
+
+def _pages(path: Path) -> list[str]:
+    reader = PdfReader(io.BytesIO(path.read_bytes()))
+    return [" ".join(page.extract_text().split()) for page in reader.pages]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_example_study(tmp_path_factory.mktemp("study"))
+
+
+@pytest.fixture(scope="module")
+def pages(folder: Path) -> list[str]:
+    lines: list[str] = []
+    path = build_report([folder], None, lines.append)
+    assert path == folder / "report.pdf"
+    assert lines
+    return _pages(path)
+
+
+def test_every_part_is_there(pages: list[str]) -> None:
+    text = " ".join(pages)
+    for words in (
+        "Quantitative comparison on synthesised ground truth",
+        "The ground truth is synthetic.",
+        "favours linear methods",
+        "Heads: 5 examples, person_00 to person_01",
+        "Heads: 30 examples",
+        "the worst expression of each method",
+        "Errors by region",
+        "Primary family against plbs",
+        "p targets",
+        "set-up per pair",
+        "How it was measured",
+        "seed 0",
+        "02 January 2026",
+        "regularisation = 0.001",
+    ):
+        assert words in text, words
+    assert len(pages) == 9
+
+
+def test_the_table_prints_the_summary(folder: Path, pages: list[str]) -> None:
+    summary = pd.read_csv(folder / "summary.csv")
+    rows = summary[(summary["metric"] == "vertex_l2_mean") & (summary["region"] == "head")]
+    for row in rows[rows["mean"].notna()].itertuples():
+        assert f"{row.mean:.3f} [{row.ci_low:.3f}, {row.ci_high:.3f}]" in pages[0]
+
+
+def test_failed_and_unsupported_cells_are_shown(pages: list[str]) -> None:
+    text = " ".join(pages)
+    assert "26 of 504 cells have no result" in text
+    assert "needs fewer than 20 examples" in text
+    assert "LinAlgError: the matrix of patch 17 is singular" in text
+    assert "24 of 24" in text
+    assert "2 of 24" in text
+    heads = next(page for page in pages if "Heads: 30 examples" in page)
+    assert "no result" in heads
+
+
+def test_the_same_results_give_the_same_bytes(folder: Path, tmp_path: Path) -> None:
+    one = build_report([folder], tmp_path / "one.pdf").read_bytes()
+    two = build_report([folder], tmp_path / "two.pdf").read_bytes()
+    assert one == two
+    assert len(one) < 10e6
+
+
+def test_several_folders_stand_side_by_side(tmp_path: Path) -> None:
+    for name, noise in (("0", 0.0), ("1", 0.3)):
+        write_example_study(tmp_path / name, identities=3, draws=1, noise_mm=noise, failures=False)
+    path = build_report([tmp_path / "0", tmp_path / "1"])
+    assert path == tmp_path / "report.pdf"
+    text = " ".join(_pages(path))
+    assert "Conditions side by side" in text
+    assert "dataset.noise_mm=0.3" in text
+    assert "0.3 mm noise" in text
+    assert "With 3 identities nothing is testable" in text
+    assert "not testable" in text
+    assert "cells finished." in text
+
+
+def test_a_study_without_frames_or_tests_still_has_a_report(tmp_path: Path) -> None:
+    folder = write_example_study(tmp_path / "bare", identities=2, draws=1, failures=False)
+    for frames in folder.glob("*/frames.npz"):
+        frames.unlink()
+    assert "This study kept no frames" in " ".join(_pages(build_report([folder])))
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write anywhere")
+def test_a_folder_that_cannot_be_written_is_refused(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "locked").mkdir(mode=0o500)
+    with pytest.raises(InvalidInput, match="cannot be written"):
+        build_report([folder], tmp_path / "locked" / "report.pdf")
+
+
+def test_an_output_below_a_file_is_refused_and_nothing_is_left(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("kept")
+    with pytest.raises(InvalidInput, match="cannot be written"):
+        build_report([folder], tmp_path / "file" / "report.pdf")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def _test(**changes: float) -> pd.Series[float]:
+    return pd.Series({"p_holm": 0.01, "p_targets": 0.03, "ratio": 0.5, "ratio_low": 0.4, "ratio_high": 0.6} | changes)
+
+
+def test_a_claim_needs_all_three_analyses() -> None:
+    assert supported(_test())
+    assert supported(_test(ratio=2.0, ratio_low=1.5, ratio_high=2.5))
+    for changes in ({"p_holm": 0.06}, {"p_targets": 0.06}, {"ratio_high": 1.01}, {"p_targets": float("nan")}):
+        assert not supported(_test(**changes))
+
+
+def test_claims_are_made_with_enough_people_and_only_then(tmp_path: Path) -> None:
+    for people, claimed in ((4, False), (7, True)):
+        (study,) = load([write_example_study(tmp_path / str(people), people, draws=1, failures=False)])
+        tests = paired_tests(study.metrics, "plbs", FAMILY)
+        text = " ".join(findings(study, tests))
+        assert ("Error larger than that of plbs: delta (ratio" in text) == claimed
+        assert ("no difference can be claimed" in text) != claimed

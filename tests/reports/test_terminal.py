@@ -1,0 +1,38 @@
+"""The printed table: means, intervals, and cells without a result."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import pandas as pd
+from rich.console import Console
+
+from reports.terminal import print_summary
+from reports.text import estimate, number, p_value, seconds
+from tests.reports.example_study import write_example_study
+
+
+def test_the_table_shows_estimates_and_failures(tmp_path: Path) -> None:
+    folder = write_example_study(tmp_path / "study")
+    summary = pd.read_csv(folder / "summary.csv")
+    console = Console(file=io.StringIO(), width=140)
+    print_summary(summary, console)
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    lines = {line.split("│")[1].strip(): line for line in text.splitlines() if line.count("│") > 3}
+    assert "no result" in lines["sumner_popovic"]
+    assert lines["sumner_popovic"].rstrip("│ ").endswith("24")
+    row = summary[(summary["method"] == "plbs") & (summary["n_examples"] == 5) & (summary["region"] == "head")]
+    assert f"{row[row['metric'] == 'vertex_l2_mean']['mean'].iloc[0]:.3f} [" in lines["plbs"]
+    assert "over 11 or 12 ordered pairs" in text
+
+
+def test_numbers() -> None:
+    nan = float("nan")
+    assert [number(v) for v in (0.12345, 0.0, 0.0004, -1.0, nan)] == ["0.123", "0.000", "0.0004", "−1.000", "n/a"]
+    assert [p_value(p) for p in (0.5, 0.0312, 0.00098, 1e-6, nan)] == [
+        "0.500", "0.031", "0.00098", "< 0.0001", "not testable"
+    ]  # fmt: skip
+    assert [seconds(s) for s in (0.0021, 2.0, nan)] == ["2.1 ms", "2 s", "n/a"]
+    assert estimate(1, 0.5, 2) == "1.000 [0.500, 2.000]"
+    assert [estimate(nan, 1, 2), estimate(1, nan, nan)] == ["no result", "1.000"]
