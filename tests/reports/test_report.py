@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import io
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pandas as pd
 import pytest
 from pypdf import PdfReader
 
+from reports import heads
 from reports.findings import findings, supported
 from reports.load import load
 from reports.report import build_report
@@ -21,6 +23,13 @@ from tests.reports.example_study import FAMILY, write_example_study
 def _pages(path: Path) -> list[str]:
     reader = PdfReader(io.BytesIO(path.read_bytes()))
     return [" ".join(page.extract_text().split()) for page in reader.pages]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _small_pictures() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(heads, "SIZE", (55, 70))
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -73,8 +82,7 @@ def test_failed_and_unsupported_cells_are_shown(pages: list[str]) -> None:
     assert "LinAlgError: the matrix of patch 17 is singular" in text
     assert "24 of 24" in text
     assert "2 of 24" in text
-    heads = next(page for page in pages if "Heads: 30 examples" in page)
-    assert "no result" in heads
+    assert "no result" in next(page for page in pages if "Heads: 30 examples" in page)
 
 
 def test_the_same_results_give_the_same_bytes(folder: Path, tmp_path: Path) -> None:

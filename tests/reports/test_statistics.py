@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import rankdata
 from statsmodels.stats.multitest import multipletests
@@ -27,6 +27,7 @@ from reports.statistics import (
 P_VALUES = st.lists(st.floats(0.0, 1.0), min_size=1, max_size=20)
 
 
+@settings(max_examples=50, deadline=None)
 @given(P_VALUES)
 def test_corrections_agree_with_statsmodels(p: list[float]) -> None:
     np.testing.assert_allclose(holm(p), multipletests(p, method="holm")[1], atol=1e-12)
