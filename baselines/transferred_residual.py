@@ -41,7 +41,7 @@ class TransferredResidual(Retargeter):
     patch_count: int | None
     residual: Residual | str = Residual.MEAN
     length_mm: float = 1.0
-    deformation_transfer: Weighting | str = Weighting.UNIFORM
+    deformation_transfer: Weighting | str = Weighting.AREA
     seed: int = 0
 
     def __post_init__(self) -> None:

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from baselines.gradient_transfer import GradientTransfer
 from baselines.linear_blendshapes import LinearBlendshapes
 from baselines.patch_blendshapes import PatchBlendshapes
-from baselines.sumner_popovic import SumnerPopovic
 from baselines.transferred_residual import TransferredResidual
 from retarget.check import InvalidInput
 from retarget.rig.deformation_transfer import DeformationTransfer, Weighting
@@ -63,7 +63,7 @@ def test_with_useless_examples_the_control_is_deformation_transfer(problem):
     )
     frames = problem.source_animation
     control = TransferredResidual(0.01, patch_count=20).retarget(still, frames).frames
-    np.testing.assert_allclose(control, SumnerPopovic().retarget(problem, frames).frames, atol=1e-9)
+    np.testing.assert_allclose(control, GradientTransfer().retarget(problem, frames).frames, atol=1e-9)
 
 
 def test_settings_are_checked_when_they_are_made():
