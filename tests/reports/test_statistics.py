@@ -54,7 +54,7 @@ def test_wilcoxon_of_equal_values_finds_nothing() -> None:
 
 def test_rank_biserial_by_hand() -> None:
     assert rank_biserial([1, 1, 1], [2, 3, 4]) == -1.0
-    assert rank_biserial([3, 1, 5], [2, 3, 2]) == pytest.approx((1 - 2 + 3) / 6)  # ranks 1, 2, 3
+    assert rank_biserial([3, 1, 4], [2, 4, 2]) == pytest.approx((1 - 3 + 2) / 6)  # ranks 1, 3, 2
     assert rank_biserial([1, 2], [1, 2]) == 0.0
 
 
