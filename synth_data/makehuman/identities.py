@@ -38,7 +38,7 @@ EXCLUDED = (
     "head-trans", "head-angle", "measure-", "asymm-", "neck-scale-vert", "neck-trans", "nose-trans-in",
     "nose-trans-out", "mouth-trans-in", "mouth-trans-out", "nose-compression",
 )  # fmt: skip  # rigid motion, the body's business, or sideways doubles of `asym`
-GROWTH = {"man": 1.015, "woman": 1.04}  # MakeHuman's heads, women's above all, are small for adult face widths
+GROWTH = {"man": 1.0, "woman": 1.03}  # MakeHuman's women are small for the published face widths
 SIZE, SIZE_DEVIATION = 0.07, 0.4  # growth of the whole head at coefficient 1, and the coefficient's deviation
 LARGEST = 1.0  # of a local coefficient: where MakeHuman's own sliders end
 SIDES_CORRELATE = 0.96  # between a target and its mirror image

@@ -20,15 +20,16 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
-from retarget.types import FloatArray
+from retarget.types import FloatArray, Regions
 from synth_data.arkit import MIRRORED, SKIN_NAMES
 from synth_data.makehuman.head import BaseHead
 from synth_data.makehuman.identities import Identity
+from synth_data.makehuman.lids import close_lids
 from synth_data.makehuman.targets import Targets
 
-GAIN_DEVIATION = 0.15  # of the logarithm of a unit's gain
+GAIN_DEVIATION = 0.12  # of the logarithm of a unit's gain
 ASYMMETRY = 0.1  # deviation of the relative difference of a unit's gain to its mirror image's
-FIELD_DEVIATION = 0.115  # of each entry of the tensor field
+FIELD_DEVIATION = 0.108  # of each entry of the tensor field
 FIELD_LENGTH = 50.0  # mm over which the tensor field changes
 SHARED = 0.5  # share of the field's variance that all units of a person have in common
 LOPSIDED = 0.1  # share of the field's variance that is not mirror-symmetric
@@ -39,14 +40,17 @@ FLIP = np.array([-1.0, 1.0, 1.0])
 _STREAM = 2  # of the seed
 
 
-def personal_rig(identity: Identity, head: BaseHead, targets: Targets) -> FloatArray:
-    """(51, n, 3) mm: displacements of `SKIN_NAMES` at full strength for one identity."""
+def personal_rig(identity: Identity, head: BaseHead, targets: Targets, regions: Regions) -> FloatArray:
+    """(51, n, 3) mm: displacements of `SKIN_NAMES` at full strength for one identity; a full blink closes the eye."""
     deltas = np.stack([targets[f"units/{name}"] for name in SKIN_NAMES])
     similarity = local_similarity(head.vertices, identity.vertices)
     person = _Person(identity.seed, head)
     for delta, name in zip(deltas, SKIN_NAMES, strict=True):
         tensor = person.gain(name) * similarity @ (np.eye(3) + person.field(name))
         delta[:] = np.einsum("nij,nj->ni", tensor, delta)
+    for side in ("left", "right"):
+        blink = SKIN_NAMES.index(f"eyeBlink{side.title()}")
+        deltas[blink] = close_lids(deltas[blink], identity.vertices, head.vertices, regions, side)
     return deltas
 
 
@@ -97,12 +101,13 @@ class _Person:
         return self._symmetrised(self._smooth("person"))
 
     def _smooth(self, *stream: str) -> FloatArray:
-        """(n, 3, 3) Gaussian random field of unit variance by random Fourier features."""
+        """(n, 3, 3) random field of unit mean square over the head, by random Fourier features."""
         rng = self._rng(*stream)
         count = 48
         waves, phases = rng.standard_normal((3, count)) / FIELD_LENGTH, rng.uniform(0, 2 * np.pi, count)
         features = np.cos(self.head.vertices @ waves + phases) * np.sqrt(2 / count)
-        return (features @ rng.standard_normal((count, 9))).reshape(-1, 3, 3)
+        field = features @ rng.standard_normal((count, 9))
+        return (field / np.sqrt(np.mean(field**2))).reshape(-1, 3, 3)
 
     def _symmetrised(self, field: FloatArray) -> FloatArray:
         return (field + self._mirrored(field)) / np.sqrt(2)

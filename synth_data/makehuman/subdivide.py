@@ -5,7 +5,7 @@ Loop, Smooth subdivision surfaces based on triangles (1987), with the boundary r
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,8 +18,8 @@ class Subdivision:
     """One or several steps of Loop subdivision: vertex i keeps its index, vertices of edges follow.
 
     A vertex set keeps its members and gains the edges inside it; a triangle set keeps its four children per
-    triangle; a loop gains the vertex of each of its edges. A boundary between two complementary sets therefore
-    belongs to neither at its new vertices.
+    triangle; a loop gains the vertex of each of its edges; landmarks, points and patches name the same vertices. A
+    boundary between two complementary sets therefore belongs to neither at its new vertices.
     """
 
     operator: sp.csr_array  # (m, n): shapes @ operator.T, for each coordinate
@@ -34,14 +34,11 @@ class Subdivision:
 
     def regions(self, regions: Regions) -> Regions:
         """The same parts on the fine mesh."""
-        for edges, count in zip(self.edges, self._counts(), strict=True):
-            regions = _refine(regions, edges, count)
-        return regions
-
-    def _counts(self) -> list[int]:
-        """Vertices before each step."""
         count = self.operator.shape[1]
-        return [count, *(count := count + len(edges) for edges in self.edges[:-1])]
+        for edges in self.edges:
+            regions = _refine(regions, edges, count)
+            count += len(edges)
+        return regions
 
 
 def subdivide(faces: IntArray, vertex_count: int, steps: int = 1) -> Subdivision:
@@ -103,10 +100,10 @@ def _refine(regions: Regions, edges: IntArray, n: int) -> Regions:
         return np.stack([loop, vertex_of(np.stack([loop, np.roll(loop, -1)], axis=1))], axis=1).reshape(-1)
 
     mirror = regions.mirror
-    return Regions(
+    return replace(
+        regions,
         vertices={name: inside(members) for name, members in regions.vertices.items()},
         loops={name: round_trip(loop) for name, loop in regions.loops.items()},
         triangles={name: np.sort((4 * t[:, None] + np.arange(4)).reshape(-1)) for name, t in regions.triangles.items()},
-        landmarks=regions.landmarks,
         mirror=None if mirror is None else np.concatenate([mirror, vertex_of(mirror[edges])]),
     )

