@@ -55,8 +55,8 @@ JAW = (491, 2677, 2671, 2881, 2889, 2888, 3498, 2884, 3688, 3702, 3718, 3769, 38
 
 # Landmarks of the Rhine soft-tissue table and of anthropometry.
 MIDLINE_LANDMARKS = {
-    "supraglabella": 244,
-    "glabella": 237,
+    "supraglabella": 1742,
+    "glabella": 227,
     "nasion": 132,
     "rhinion": 1485,
     "pronasale": 297,
@@ -93,7 +93,7 @@ LEFT_LANDMARKS = {
 # The 51 inner landmarks of iBUG-68, the left half by place in the list; a right one is the image of its partner.
 IBUG_MIDLINE = {10: 132, 11: 131, 12: 201, 13: 297, 16: 343, 34: 455, 40: 492, 45: 474, 49: 493}
 IBUG_LEFT = {
-    5: 2443, 6: 2440, 7: 2439, 8: 2441, 9: 3801,
+    5: 2420, 6: 2434, 7: 2433, 8: 2435, 9: 2461,
     17: 2491, 18: 2556,
     25: 2287, 26: 2275, 27: 2221, 28: 2245, 29: 2262, 30: 2268,
     35: 2652, 36: 2607, 37: 2599, 38: 2603, 39: 2678,

@@ -79,4 +79,4 @@ def _to_runs(indices: Iterable[int]) -> str:
 
 def _from_runs(runs: str) -> IntArray:
     ends = [[int(i) for i in run.split("-")] for run in runs.split()]
-    return np.concatenate([np.arange(run[0], run[-1] + 1) for run in ends] or [np.empty(0)]).astype(np.int64)
+    return np.array([i for run in ends for i in range(run[0], run[-1] + 1)], dtype=np.int64)
