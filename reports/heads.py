@@ -17,7 +17,7 @@ from retarget.types import FloatArray
 
 SIZE = (330, 420)  # pixels of one head: 280 per inch at 30 mm
 _COLUMNS = 9  # methods side by side on one page
-_STILL = 0.5  # mm: a vertex that no frame moves further does not decide how low the picture reaches
+_STILL = 0.35  # of the largest motion: a vertex that moves less does not decide how low the picture reaches
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ def _camera(frames: Frames, size: tuple[int, int]) -> Camera:
     """A view that holds both heads down to the lowest vertex that moves: the same for all pictures of a row."""
     heads = [frames.source_neutral, frames.target_neutral, *frames.source, *frames.truth]
     motion = np.linalg.norm(frames.truth - frames.target_neutral, axis=2).max(axis=0)
-    moving = np.flatnonzero(motion > max(_STILL, 0.1 * float(motion.max())))
+    moving = np.flatnonzero(motion > _STILL * float(motion.max()))
     points = np.concatenate(heads).astype(np.float64)
     floor = min(float(h[moving, 1].min()) for h in heads) if len(moving) else float(points[:, 1].min())
     return look(points[points[:, 1] >= floor - 4.0], size, turn=24.0, raise_=3.0, margin=0.03)

@@ -33,7 +33,7 @@ Float32 = NDArray[np.float32]
 
 # Studio lights, fixed to the camera (right, up, towards the viewer).
 _KEY, _FILL, _RIM = ((-0.50, 0.55, 0.70), (0.85, 0.05, 0.50), (0.45, 0.55, -0.75))
-_KEY_POWER, _FILL_POWER, _RIM_POWER, _SKY_POWER = 0.66, 0.26, 0.35, 0.46
+_KEY_POWER, _FILL_POWER, _RIM_POWER, _SKY_POWER = 0.80, 0.24, 0.35, 0.44
 _KEY_RADIUS = 0.22  # of the lamp as a tangent: soft shadows
 _SKY_RAYS, _KEY_RAYS = 96, 12
 _LIFT = 0.2  # mm that shadow rays start above the skin

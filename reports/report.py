@@ -169,11 +169,15 @@ def _facts(study: StudyResults) -> list[tuple[str, str]]:
         ("Size", f"{study.facts['vertices']:,} vertices, {study.facts['faces']:,} triangles, "
                  f"{study.facts['expressions']} expressions, {len(study.cells):,} cells"),
         ("Run", f"{_time(p['finished']):%d %B %Y, %H:%M} UTC, {minutes} min {seconds} s"),
-        ("Machine", f"{p['platform']}, {p['cores']} cores, {p['threads']} threads"),
+        ("Machine", f"{p['platform']}, {_count(p['cores'], 'core')}, {_count(p['threads'], 'thread')}"),
         ("Software", f"version {p['project_version']}, Python {p['python']}, {packages}"),
         ("Code", str(p["code_hash"])[:16]),
         ("Data", str(data["fingerprint"])[:16]),
     ]  # fmt: skip
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def _heads(heads: HeadPages | None) -> dict[str, Any] | None:

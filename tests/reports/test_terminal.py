@@ -16,15 +16,26 @@ from tests.reports.example_study import write_example_study
 def test_the_table_shows_estimates_and_failures(tmp_path: Path) -> None:
     folder = write_example_study(tmp_path / "study")
     summary = pd.read_csv(folder / "summary.csv")
-    console = Console(file=io.StringIO(), width=140)
-    print_summary(summary, console)
-    text = console.file.getvalue()  # type: ignore[attr-defined]
-    lines = {line.split("│")[1].strip(): line for line in text.splitlines() if line.count("│") > 3}
-    assert "no result" in lines["sumner_popovic"]
-    assert lines["sumner_popovic"].rstrip("│ ").endswith("24")
+    text = _printed(summary, 140)
+    lines = {line.split()[0]: line for line in text.splitlines() if line.strip()}
+    assert lines["sumner_popovic"].split()[-3:] == ["no", "result", "24"]
     row = summary[(summary["method"] == "plbs") & (summary["n_examples"] == 5) & (summary["region"] == "head")]
     assert f"{row[row['metric'] == 'vertex_l2_mean']['mean'].iloc[0]:.3f} [" in lines["plbs"]
     assert "over 11 or 12 ordered pairs" in text
+
+
+def test_nothing_is_cut_in_a_narrow_terminal(tmp_path: Path) -> None:
+    folder = write_example_study(tmp_path / "study")
+    summary = pd.read_csv(folder / "summary.csv")
+    wide, narrow = (_printed(summary, width) for width in (140, 80))
+    assert "…" not in narrow
+    assert sorted(wide.replace("─", "").split()) == sorted(narrow.replace("─", "").split())
+
+
+def _printed(summary: pd.DataFrame, width: int) -> str:
+    file = io.StringIO()
+    print_summary(summary, Console(file=file, width=width))
+    return file.getvalue()
 
 
 def test_numbers() -> None:
