@@ -1,6 +1,6 @@
 """Renders the pictures of docs/regions.md: every region, loop and landmark of the MakeHuman head.
 
-    python docs/regions_figures.py [wheel]
+python docs/regions_figures.py [wheel]
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ WHOLE = (
     Panel(("face",)),
     Panel(("scalp",), SIDE),
     Panel(("neck",), SIDE),
-    Panel(("ear_left", "ear_right"), (60.0, 5.0)),
+    Panel(("ear_left", "ear_right"), FRONT),
     Panel(("cranium",), THREE_QUARTER),
     Panel(("cranium_skin",), THREE_QUARTER),
     Panel(("jaw_skin",), (42.0, -15.0)),
@@ -59,7 +59,6 @@ PARTS = (
     Panel(("jaw",), (30.0, -12.0), "face"),
     Panel(("lips",), FRONT, "lips"),
     Panel(("upper_lip", "lower_lip"), FRONT, "lips"),
-    Panel(("lid_margin_upper_left", "lid_margin_lower_left"), (12.0, 0.0), "eye_left"),
 )
 
 
@@ -69,7 +68,7 @@ def main(arguments: list[str]) -> None:
     FOLDER.mkdir(exist_ok=True)
     _grid("regions_whole.png", [(_title(p.names), _region(head, regions, p)) for p in WHOLE])
     _grid("regions_parts.png", [(_title(p.names), _region(head, regions, p)) for p in PARTS])
-    _grid("regions_loops.png", _loops(head, regions))
+    _grid("regions_loops.png", _loops(head, regions), columns=3)
     _grid("regions_supplementary.png", _supplementary(head, regions))
     sampler = IdentitySampler(head, targets, regions)
     for name, vertices in (("base", head.vertices), ("man", sampler(0).vertices), ("woman", sampler(1).vertices)):
@@ -111,13 +110,23 @@ def _loops(head: BaseHead, regions: Regions) -> list[tuple[str, Image]]:
             image = draw_points(draw_lines(image, pixels, color, 2.0, shown=shown), pixels[shown], color, 2.5, None)
         return image
 
+    def dots(names: Sequence[str]) -> Image:
+        camera = _camera(head.vertices[regions.loops["lid_margin_left"]], (12.0, 0.0), 0.06)
+        image = render_mesh(head.vertices, head.faces, camera, SIZE, color=SKIN)
+        for name, color in zip(names, (LEFT, RIGHT), strict=True):
+            image = draw_points(image, camera.project(head.vertices[regions.vertices[name]], SIZE), color, 5.0)
+        return image
+
+    lips, lids = ("lip_contour", "lip_inner"), ("lid_margin_upper_left", "lid_margin_lower_left")
+    left, right = (("eye_socket" + side, "lid_margin" + side) for side in ("_left", "_right"))
     return [
-        ("lip_contour (blue)\nlip_inner (orange)", picture(("lip_contour", "lip_inner"), "lips", FRONT)),
-        ("the same from the side", picture(("lip_contour", "lip_inner"), "lips", (55.0, 0.0))),
-        ("eye_socket_left (blue)\nlid_margin_left (orange)", picture(("eye_socket_left", "lid_margin_left"), "eye_left", (12.0, 0.0))),
-        ("eye_socket_right (blue)\nlid_margin_right (orange)", picture(("eye_socket_right", "lid_margin_right"), "eye_right", (-12.0, 0.0))),
-        ("neck", picture(("neck",), "", THREE_QUARTER, 0.03)),
-    ]  # fmt: skip
+        (_title(lips), picture(lips, "lips", FRONT)),
+        ("the same, from the left", picture(lips, "lips", (55.0, 0.0))),
+        (_title(left), picture(left, "eye_left", (12.0, 0.0))),
+        (_title(right), picture(right, "eye_right", (-12.0, 0.0))),
+        (_title(lids), dots(lids)),
+        ("neck, neck_boundary", picture(("neck",), "", THREE_QUARTER, 0.03)),
+    ]
 
 
 def _supplementary(head: BaseHead, regions: Regions) -> list[tuple[str, Image]]:
@@ -125,10 +134,11 @@ def _supplementary(head: BaseHead, regions: Regions) -> list[tuple[str, Image]]:
 
     def patch(name: str) -> Image:
         triangles = regions.patches[name]
-        faces = np.concatenate([head.faces, triangles])
+        lids = np.isin(head.faces, regions.vertices["eye_left"]).all(axis=1)
+        faces = np.concatenate([head.faces[~lids] if name.startswith("eye_socket") else head.faces, triangles])
         # vertices of their own, so that the patch has one colour up to its edge
         vertices = np.concatenate([head.vertices, head.vertices[triangles].reshape(-1, 3)])
-        faces[len(head.faces) :] = len(head.vertices) + np.arange(3 * len(triangles)).reshape(-1, 3)
+        faces[-len(triangles) :] = len(head.vertices) + np.arange(3 * len(triangles)).reshape(-1, 3)
         colors = np.tile(SKIN, (len(vertices), 1))
         colors[len(head.vertices) :] = (0.55, 0.70, 0.86)
         image = render_mesh(vertices, faces, camera, SIZE, vertex_colors=colors)
@@ -141,7 +151,7 @@ def _supplementary(head: BaseHead, regions: Regions) -> list[tuple[str, Image]]:
         colors[np.unique(head.faces[regions.triangles[name]])] = LEFT
         return render_mesh(head.vertices, head.faces, camera, SIZE, vertex_colors=colors)
 
-    interior = head.faces[np.isin(head.faces, regions.vertices["interior"]).all(axis=1)]
+    interior = head.faces[np.isin(head.faces, regions.vertices["interior"]).all(axis=1)][:, ::-1]
     inside = _camera(head.vertices[regions.vertices["interior"]], THREE_QUARTER, 0.06)
     return [
         ("patches: eye_opening_left", patch("eye_opening_left")),
@@ -154,7 +164,9 @@ def _supplementary(head: BaseHead, regions: Regions) -> list[tuple[str, Image]]:
 def _grid(name: str, panels: Sequence[tuple[str, Image]], columns: int = 4) -> None:
     rows = -(-len(panels) // columns)
     width = min(columns, len(panels)) * 3.6
-    figure, axes = plt.subplots(rows, columns, figsize=(width, rows * 4.9), dpi=DPI, squeeze=False, layout="constrained")
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(width, rows * 4.9), dpi=DPI, squeeze=False, layout="constrained"
+    )
     for axis in axes.flat:
         axis.axis("off")
     for axis, (title, image) in zip(axes.flat, panels, strict=False):
@@ -169,14 +181,12 @@ def _landmarks(name: str, vertices: FloatArray, faces: IntArray, regions: Region
     twins = {"prosthion": "labrale_superius", "infradentale": "labrale_inferius"}  # one vertex, two names
     stomion = vertices[[regions.landmarks["stomion_upper"], regions.landmarks["stomion_lower"]]]
     points["stomion_upper, _lower"] = stomion.mean(axis=0)
-    points = {
-        f"{k} = {twins[k]}" if k in twins else k: p for k, p in points.items() if k not in twins.values()
-    }
+    points = {f"{k} = {twins[k]}" if k in twins else k: p for k, p in points.items() if k not in twins.values()}
     size = (900, 1080)
-    figure, axes = plt.subplots(1, 2, figsize=(17, 10.4), dpi=DPI, layout="constrained")
+    figure, axes = plt.subplots(1, 2, figsize=(17, 8.4), dpi=DPI, layout="constrained")
     aim = vertices[np.setdiff1d(regions.vertices["face"], regions.vertices["scalp"])]
     for axis, view in zip(axes, (FRONT, (80.0, 0.0)), strict=True):
-        camera = look(aim if view == FRONT else np.concatenate([aim, vertices[regions.vertices["ears"]]]), size, *view)
+        camera = look(np.concatenate([aim, vertices[regions.vertices["ears"]]]), size, *view)
         image = render_mesh(vertices, faces, camera, size, color=SKIN)
         lateral = view != FRONT
         kept = {k: p for k, p in points.items() if k.endswith("_left") or (not k.endswith("_right") and not lateral)}
@@ -192,8 +202,10 @@ def _labelled(axis: Axes, image: Image, camera: Camera, size: tuple[int, int], p
     axis.axis("off")
     pixels = camera.project(np.array(list(points.values())), size)
     lateral = not any(not k.endswith(("_left", "(inside)")) for k in points)
-    on_right = [k.endswith("_left") and (not lateral or x > size[0] / 2) or "(inside)" in k
-                for k, (x, _) in zip(points, pixels, strict=True)]  # fmt: skip
+    on_right = [
+        "(inside)" in name or (name.endswith("_left") and (not lateral or x > size[0] / 2))
+        for name, (x, _) in zip(points, pixels, strict=True)
+    ]
     for side in (False, True):
         mine = sorted((i for i, right in enumerate(on_right) if right == side), key=lambda i: pixels[i, 1])
         if not mine:
@@ -245,7 +257,7 @@ def _ibug(name: str, vertices: FloatArray, faces: IntArray, regions: Regions) ->
 
 
 def _save(figure: plt.Figure, name: str) -> None:
-    figure.savefig(FOLDER / name, metadata={"Software": None}, pil_kwargs={"optimize": True})
+    figure.savefig(FOLDER / name, bbox_inches="tight", metadata={"Software": None}, pil_kwargs={"optimize": True})
     plt.close(figure)
 
 

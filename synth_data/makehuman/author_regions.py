@@ -25,10 +25,9 @@ from synth_data.makehuman.head import BaseHead
 from synth_data.makehuman.regions import FILE, encode
 from synth_data.makehuman.targets import load_head
 
-STATIC_MM = 0.5  # moved less than this by every unit: `cranium`
+STATIC_MM = 0.6  # moved less than this by every unit: `cranium`
 NEARLY_STATIC_MM = 1.0  # `cranium_skin`
 CRANIUM_SHARE, JAW_SHARE = 0.2, 0.5  # of the rigid jaw motion under jawOpen
-BROW_HALF_HEIGHT = 7.0  # mm from the line of the brow landmarks
 
 # Quad loops: two neighbours, the walk starts at the first and heads to the second.
 LOOPS = {
@@ -42,16 +41,18 @@ LID_BACK = (3226, 3225)  # back edge of the lid rim; behind it lies the eye sock
 EAR_ROOT = (4270, 4267)
 LIP_ROWS = (455, 466, 467, 509, 468, 474, 520)  # middle of the upper lip, vermilion border to wet lip
 
-JAW_LINE = (732, 3046, 3119, 3124, 2896, 3044)
+JAW_LINE = (732, 3046, 3119, 3124, 3125, 3122, 3121, 3044)
 FACE_BACK = (3044, 3002, 4281, 4288, 4279, 4292, 4283, 4298, 4294)  # in front of the ear
 HAIRLINE = (4294, 4093, 4092, 3925, 2478, 2456, 2455, 3106, 975)
 NAPE = (3044, 2895, 3017, 3065, 3823, 3818, 1706)
+BROW = (2420, 2417, 2416, 2418, 2419, 2461, 2468, 2442, 2441, 2439, 2440, 2445, 2443, 2420)
 NOSE = (136, 2348, 2343, 2344, 2426, 2395, 3795, 3792, 2410, 3685, 2494, 2556, 2557, 2514, 343)
 CHEEK = (
-    2397, 3791, 3793, 3633, 3843, 3840, 3789, 3041, 3038, 3034, 2430, 3728, 3864, 3729, 3730, 3744, 2475, 3776, 3004,
-    3645, 3005, 3045, 3028, 3027, 2894, 3836, 3769, 3718, 3689, 2872, 3536, 2871, 2574, 2573, 2571, 3866, 3622, 2397,
+    2397, 3791, 3793, 3633, 3843, 3840, 3789, 3041, 3038, 3034, 2430, 2465, 3725, 3863, 3729, 3730, 3744, 2475, 3776,
+    3004, 3645, 3005, 3045, 3028, 3027, 2894, 3836, 3769, 3718, 3689, 2872, 3536, 2871, 2574, 2573, 2571, 3866, 3622,
+    2397,
 )  # fmt: skip
-JAW = (491, 2677, 2671, 2881, 2889, 2888, 3498, 2884, 3688, 3702, 3718, 3769, 3836, 2894, 3027, 2896)
+JAW = (491, 2677, 2671, 2881, 2889, 2888, 3498, 2884, 3688, 3702, 3718, 3769, 3836, 2894, 3027, 3028, 3121)
 
 # Landmarks of the Rhine soft-tissue table and of anthropometry.
 MIDLINE_LANDMARKS = {
@@ -145,7 +146,7 @@ def author_regions(head: BaseHead, units: Mapping[str, FloatArray]) -> Regions:
 
     both["nose"] = mesh.symmetric(mesh.within([mesh.path(NOSE)], 1476, half=True))
     left["cheeks"] = mesh.within([mesh.path(CHEEK)], 3697, half=True)
-    left["brows"] = np.intersect1d(mesh.near_line([IBUG_LEFT[i] for i in range(5, 10)], BROW_HALF_HEIGHT), face)
+    left["brows"] = mesh.within([mesh.path(BROW)], 2434, half=True)
     both["jaw"] = mesh.symmetric(mesh.within([mesh.path(JAW), jaw_line], 1584, half=True))
     for name in ("cheeks", "brows", "eyes"):
         both[name] = mesh.symmetric(left[name])
@@ -303,14 +304,6 @@ class _Mesh:
             free &= self._left
         edges = self._edges[free[self._edges].all(axis=1)]
         return np.flatnonzero((part := connected_components(self._graph(edges))[1]) == part[seed])
-
-    def near_line(self, line: list[int], distance: float) -> IntArray:
-        """Vertices within distance (mm) of the polyline through the vertices `line`."""
-        corners = self._vertices[line]
-        along = corners[1:] - corners[:-1]
-        offset = self._vertices[:, None] - corners[:-1]
-        t = np.clip(np.sum(offset * along, axis=2) / np.sum(along**2, axis=1), 0, 1)
-        return np.flatnonzero(np.linalg.norm(offset - t[:, :, None] * along, axis=2).min(axis=1) < distance)
 
     def symmetric(self, indices: IntArray) -> IntArray:
         """The set with its mirror image."""
