@@ -73,7 +73,7 @@ def box_plot(study: StudyResults, path: Path) -> None:
         for edge in range(1, len(counts)):
             axes.axvline(edge - 0.5, color="#dddddd", lw=0.6, zorder=0)
         axes.set_xlim(-0.5, len(counts) - 0.5)
-        axes.set_ylim(bottom=0)
+        axes.set_ylim(0, axes.get_ylim()[1] * 1.03)
         axes.set_xticks(range(len(counts)), [f"{count} examples" for count in counts], fontsize=8.5)
         axes.tick_params(axis="x", length=0, pad=5)
         axes.set_ylabel(_error_name(study))
@@ -83,7 +83,7 @@ def box_plot(study: StudyResults, path: Path) -> None:
 
 
 def example_effect(study: StudyResults, path: Path) -> None:
-    """Mean error with its 95 % interval over the number of examples, on a logarithmic scale."""
+    """Mean error with its 95 % interval over the number of examples, on a logarithmic scale that holds the methods."""
     primary, methods, counts = study.primary, _drawn(study), study.facts["n_examples"]
     with _figure(path, WIDTH, 2.75) as figure:
         axes = figure.add_axes((0.075, 0.29, 0.92, 0.67))
@@ -100,8 +100,9 @@ def example_effect(study: StudyResults, path: Path) -> None:
             style = "--" if m.kind == "reference" else "-"
             axes.plot(at, mean, style, marker="o", ms=3, lw=1.0, color=color)
             axes.vlines(at, low, high, color=color, lw=1.0)
-            lows.append(np.nanmin(np.where(low > 0, low, mean)))
-            highs.append(np.nanmax(high))
+            if m.kind != "reference":
+                lows.append(np.nanmin(np.where(low > 0, low, mean)))
+                highs.append(np.nanmax(np.where(np.isfinite(high), high, mean)))
         if lows:
             _log_ticks(axes, "y", float(min(lows)), float(max(highs)))
         axes.set_xlim(-0.4, len(counts) - 0.6)

@@ -15,7 +15,7 @@ from reports.load import FigureCell, Frames, MethodFacts, StudyResults
 from reports.render import render_mesh, write_image
 from retarget.types import FloatArray
 
-SIZE = (330, 420)  # pixels of one head: 280 per inch at 30 mm
+SIZE = (290, 370)  # pixels of one head: 270 per inch at 34.5 mm
 _COLUMNS = 9  # methods side by side on one page
 _STILL = 0.35  # of the largest motion: a vertex that moves less does not decide how low the picture reaches
 

@@ -14,7 +14,6 @@ from reports.colors import ERROR_COLORMAP
 from reports.load import StudyResults
 from reports.text import number, p_value, seconds
 
-DASH = "\N{EN DASH}"
 Row = dict[str, Any]
 
 
@@ -130,7 +129,7 @@ def _quartiles(values: pd.Series[float]) -> Row:
     if known.empty:
         return {"median": "n/a", "range": ""}
     low, middle, high = np.quantile(known.to_numpy(dtype=np.float64), [0.25, 0.5, 0.75])
-    return {"median": seconds(middle), "range": f"{seconds(low)} {DASH} {seconds(high)}"}
+    return {"median": seconds(middle), "range": seconds(low, high)}
 
 
 def status_rows(study: StudyResults) -> list[Row]:
@@ -166,7 +165,7 @@ def setting_rows(study: StudyResults) -> list[Row]:
             "label": m.label,
             "kind": m.kind,
             "description": " ".join(m.description.split()),
-            "settings": [f"{key} = {value}" for key, value in _settings(m.settings)],
+            "settings": [f"{key} = {value}" for key, value in _settings(m.settings) if m.kind != "reference"],
         }
         for m in study.methods
     ]

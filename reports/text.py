@@ -32,8 +32,9 @@ def p_value(p: float) -> str:
     return "< 0.0001" if p < 1e-4 else f"{p:.2g}" if p < 0.01 else f"{p:.3f}"
 
 
-def seconds(value: float) -> str:
-    """A duration with its unit."""
-    if not math.isfinite(value):
+def seconds(*values: float) -> str:
+    """A duration with its unit; several are joined by dashes and share the unit of the largest."""
+    if not all(math.isfinite(v) for v in values):
         return "n/a"
-    return f"{value * 1000:.3g} ms" if value < 1 else f"{value:.3g} s"
+    factor, unit = next((f, u) for f, u in ((1.0, "s"), (1e3, "ms"), (1e6, "µs")) if max(values) * f >= 1 or u == "µs")
+    return " \N{EN DASH} ".join(f"{v * factor:.3g}" if v < 1000 else f"{v:.0f}" for v in values) + f" {unit}"
