@@ -288,7 +288,7 @@ def test_lips_part_under_jaw_open_and_meet_at_rest(
 def test_cranium_is_still_and_large(head: BaseHead, units: dict[str, FloatArray], regions: Regions) -> None:
     motion = np.max([np.linalg.norm(delta, axis=1) for delta in units.values()], axis=0)
     cranium = regions.vertices["cranium"]
-    assert motion[cranium].max() < 0.6
+    assert motion[cranium].max() < 0.7
     assert motion[regions.vertices["cranium_skin"]].max() < 1.0
     assert np.ptp(head.vertices[cranium], axis=0).min() > 90  # mm: rigid fits to it are well conditioned
     moved = np.linalg.norm(units["jawOpen"], axis=1)
