@@ -27,8 +27,8 @@ OPPOSITES = (
 )  # fmt: skip
 HEAD_SHAPES = ("diamond", "invertedtriangular", "oval", "rectangular", "round", "square", "triangular")
 PEAK_MM = {
-    "head": 2.4, "nose": 1.1, "mouth": 0.8, "eyes": 0.6, "chin": 1.5, "cheek": 1.2, "forehead": 1.8, "eyebrows": 1.4,
-    "ears": 2.2, "asym": 0.45, "neck": 2.5,
+    "head": 2.4, "nose": 1.0, "mouth": 0.8, "eyes": 0.6, "chin": 1.5, "cheek": 1.2, "forehead": 1.8, "eyebrows": 1.4,
+    "ears": 1.6, "asym": 0.45, "neck": 2.5,
 }  # fmt: skip  # standard deviation of a target's peak displacement
 LEVERS = {
     "mouth/mouth-scale-horiz-incr": 0.5, "nose/nose-scale-vert-incr": 0.4, "head/head-scale-horiz-incr": 0.25,
@@ -41,6 +41,9 @@ EXCLUDED = (
 GROWTH = {"man": 1.0, "woman": 1.03}  # MakeHuman's women are small for the published face widths
 SIZE, SIZE_DEVIATION = 0.07, 0.4  # growth of the whole head at coefficient 1, and the coefficient's deviation
 LARGEST = 1.0  # of a local coefficient: where MakeHuman's own sliders end
+WIDTHS_CORRELATE = 0.4  # large heads are large in every width; the source gives no correlations
+LARGEST_STRAIN = 5.0  # standard deviations that conditioning may move a draw; a head that needs more is drawn again,
+ATTEMPTS = 30  # because widths that the targets can reach only together give caricatures
 SIDES_CORRELATE = 0.96  # between a target and its mirror image
 
 
@@ -86,16 +89,23 @@ class IdentitySampler:
         self._cranium = regions.vertices["cranium"]
         self._ends = _ends(regions.landmarks)
         self._positive, self._negative, self._covariance = _local_targets(head, targets)
+        self._precision = np.linalg.inv(self._covariance)
         self._cholesky = np.linalg.cholesky(self._covariance)
 
     def __call__(self, seed: int) -> Identity:
         rng = np.random.default_rng(np.random.SeedSequence([seed, _STREAM]))
         gender = "man" if seed % 2 == 0 else "woman"
-        oldness = rng.beta(1.1, 2.8)
-        base = GROWTH[gender] * (self._head.vertices + self._macro(rng, gender, oldness))
         mean, deviation = np.array([w.men if gender == "man" else w.women for w in WIDTHS.values()]).T
-        wanted = mean + deviation * np.clip(rng.standard_normal(len(mean)), -2, 2)
-        vertices = self._conditioned(base, self._cholesky @ rng.standard_normal(len(self._cholesky)), wanted)
+        for _ in range(ATTEMPTS):
+            oldness = rng.beta(1.1, 2.8)
+            base = GROWTH[gender] * (self._head.vertices + self._macro(rng, gender, oldness))
+            drawn = np.sqrt(WIDTHS_CORRELATE) * rng.standard_normal() + np.sqrt(
+                1 - WIDTHS_CORRELATE
+            ) * rng.standard_normal(len(mean))
+            free = self._cholesky @ rng.standard_normal(len(self._cholesky))
+            vertices, strain = self._conditioned(base, free, mean + deviation * np.clip(drawn, -2, 2))
+            if strain < LARGEST_STRAIN:
+                break
         rotation, translation = rigid_align(vertices[self._cranium], self._head.vertices[self._cranium])
         return Identity(seed, gender, 25 + 65 * oldness, vertices @ rotation.T + translation)
 
@@ -117,8 +127,9 @@ class IdentitySampler:
                     total += a * b * m * w * self._targets[name]
         return total
 
-    def _conditioned(self, base: FloatArray, coefficients: FloatArray, wanted: FloatArray) -> FloatArray:
-        """(n, 3) mm: base and local targets with the Gaussian sample moved to where the widths are as wanted.
+    def _conditioned(self, base: FloatArray, coefficients: FloatArray, wanted: FloatArray) -> tuple[FloatArray, float]:
+        """(n, 3) mm: base and local targets with the Gaussian sample moved to where the widths are as wanted; and
+        the Mahalanobis length of that move, infinite where the widths stay out of reach.
 
         c + C J^T (J C J^T)^-1 (wanted - widths(c)) is a sample of the Gaussian given linear widths (Matheron's
         rule); the widths are linear only piecewise, hence the iteration.
@@ -129,12 +140,13 @@ class IdentitySampler:
             vertices = base + np.tensordot(c, shapes, axes=1)
             span = np.diff(vertices[self._ends], axis=1)[:, 0]
             length = np.linalg.norm(span, axis=1)
-            if np.abs(wanted - length).max() < 0.05:
-                break
+            if np.abs(wanted - length).max() < 0.2:
+                move = c - coefficients
+                return vertices, float(np.sqrt(move @ self._precision @ move))
             jacobian = np.einsum("wi,kwi->wk", span / length[:, None], np.diff(shapes[:, self._ends], axis=2)[:, :, 0])
             gain = self._covariance @ jacobian.T
             c = np.clip(c + gain @ np.linalg.solve(jacobian @ gain, wanted - length), -LARGEST, LARGEST)
-        return vertices
+        return vertices, np.inf
 
 
 _STREAM = 1  # of the seed: identities; rigs use another
