@@ -313,8 +313,8 @@ def test_ibug_order_runs_from_the_characters_right(head: BaseHead, regions: Regi
     x = head.vertices[[regions.landmarks[f"ibug_{i:02d}"] for i in range(51)]][:, 0]
     for run in (range(10), range(14, 19), range(19, 23), range(25, 29), range(31, 38), range(43, 48)):
         assert (np.diff(x[list(run)]) > 0).all()  # +x is the character's left
-    for run in ((28, 29, 30, 25), (22, 23, 24, 19), range(37, 43), range(47, 51)):
-        assert (np.diff(x[list(run)]) < 0).all()
+    for back in ((28, 29, 30, 25), (22, 23, 24, 19), tuple(range(37, 43)), tuple(range(47, 51))):
+        assert (np.diff(x[list(back)]) < 0).all()
 
 
 def test_landmarks_lie_where_they_belong(regions: Regions) -> None:
