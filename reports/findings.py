@@ -67,7 +67,8 @@ def _at(study: StudyResults, tests: pd.DataFrame, count: int) -> str:
 
 def _claim(study: StudyResults, row: pd.Series[float]) -> str:
     ratio = estimate(row["ratio"], row["ratio_low"], row["ratio_high"], digits=2)
-    return f"{study.label(str(row['method']))} (ratio {ratio}, p = {p_value(row['p_holm'])})"
+    p = p_value(row["p_holm"])
+    return f"{study.label(str(row['method']))} (ratio {ratio}, p {p if p.startswith('<') else f'= {p}'})"
 
 
 def _limit(study: StudyResults) -> str:

@@ -218,6 +218,8 @@ def _shade(
     light = _KEY_POWER * key * key_share + (_FILL_POWER * fill + _SKY_POWER * (0.7 + 0.3 * up)) * sky_share
     light += _RIM_POWER * rim * sky_share
     light *= np.where(inside, np.float32(0.35), np.float32(1.0))
+    if not gloss:  # a map's colours stay close to those of its colour bar
+        light = 0.25 * sky_share + 0.75 * np.minimum(light, 1)
     rgb = albedo * light[:, None]
     if gloss:
         half = viewer + lights[0]

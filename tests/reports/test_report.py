@@ -145,3 +145,4 @@ def test_claims_are_made_with_enough_people_and_only_then(tmp_path: Path) -> Non
         text = " ".join(findings(study, tests))
         assert ("Error larger than that of plbs: delta (ratio" in text) == claimed
         assert ("no difference can be claimed" in text) != claimed
+        assert "= <" not in text
