@@ -11,7 +11,7 @@ from omegaconf import OmegaConf
 from rich.console import Console
 from rich.table import Table
 
-from experiments.suggest import choose
+from retarget.suggest import choose
 from retarget.types import Retargeter
 
 GROUPS = ("study", "method", "dataset", "metric", "scale", "backend")

@@ -14,8 +14,8 @@ from omegaconf import DictConfig
 from rich.console import Console
 
 from experiments.overrides import check_overrides
-from experiments.suggest import choose
 from retarget.check import InvalidInput
+from retarget.suggest import choose
 
 USAGE = """\
 Offline facial retargeting: an honest comparison of methods.

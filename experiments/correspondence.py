@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from experiments.suggest import choose
+from retarget.suggest import choose
 from retarget.types import FloatArray
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from hydra import compose, initialize_config_module
+from hydra._internal.utils import get_args_parser
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
@@ -12,8 +13,8 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 
 from experiments.catalogue import GROUPS, options
-from experiments.suggest import choose, nearest
 from retarget.check import InvalidInput
+from retarget.suggest import choose, nearest
 
 _HYDRA_GROUPS = ("hydra", "paths")
 
@@ -21,7 +22,8 @@ _HYDRA_GROUPS = ("hydra", "paths")
 def check_overrides(config_name: str, arguments: Sequence[str]) -> None:
     """Raises InvalidInput for an unknown option of a group, or a key that the chosen options do not have."""
     try:
-        overrides = OverridesParser.create().parse_overrides([a for a in arguments if not a.startswith("-")])
+        written = get_args_parser().parse_args(list(arguments)).overrides
+        overrides = OverridesParser.create().parse_overrides(written)
     except HydraException as error:
         raise InvalidInput(f"cannot read the command line: {error}") from error
     choices = [override for override in overrides if override.key_or_group in GROUPS]

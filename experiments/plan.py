@@ -13,9 +13,9 @@ from experiments.metrics.metric import Metric
 from experiments.protocol import check_counts
 from experiments.record import SCHEMA, digest, read_header
 from experiments.study import Row, Study
-from experiments.suggest import choose
 from experiments.version import code_hash
 from retarget.check import InvalidInput, check_faces, check_frames, check_triangle_areas, check_vertices
+from retarget.suggest import choose
 from synth_data.dataset import Dataset
 
 

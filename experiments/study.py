@@ -8,8 +8,8 @@ from typing import Any
 
 from experiments.correspondence import correspondence
 from experiments.references import REFERENCES
-from experiments.suggest import choose
 from retarget.check import InvalidInput
+from retarget.suggest import choose
 from retarget.types import Retargeter
 
 SPANS = ("animation", "five")

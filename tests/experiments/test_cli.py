@@ -22,6 +22,7 @@ TINY = [
     "dataset.expressions=40",
     "study.n_examples=[5]",
     "study.draws=1",
+    "study.figures.pairs=0",
     "report=false",
 ]
 
