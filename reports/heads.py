@@ -13,6 +13,7 @@ from joblib import Parallel, delayed
 from reports.camera import Camera, look
 from reports.load import FigureCell, Frames, MethodFacts, StudyResults
 from reports.render import render_mesh, write_image
+from reports.text import number
 from retarget.types import FloatArray
 
 SIZE = (290, 370)  # pixels of one head: 270 per inch at 34.5 mm
@@ -140,7 +141,7 @@ def _page(
             mine = shown[m.name].frames
             error = mine.error(t)
             image = room.order(f"{name}-{m.name}-{count}", mine.retargeted[t], mine, camera, SIZE, error)
-            heads.append(Head(m.label, image, f"{np.nanmean(error):.2f}"))
+            heads.append(Head(m.label, image, number(float(np.nanmean(error)), 2)))
         rows.append(HeadRow(frames.expressions[t], tuple(heads)))
     return HeadPage(first.source, first.target, count, first.draw, tuple(rows))
 
@@ -161,7 +162,9 @@ def _worst(study: StudyResults, room: _Darkroom, prefix: str, cells: Sequence[Fi
             Head("truth", room.order(f"{name}-truth", frames.truth[t], frames, camera, SIZE, None)),
             Head("result", room.order(f"{own}-plain", frames.retargeted[t], frames, camera, SIZE, None)),
             Head(
-                "error", room.order(own, frames.retargeted[t], frames, camera, SIZE, error), f"{np.nanmean(error):.2f}"
+                "error",
+                room.order(own, frames.retargeted[t], frames, camera, SIZE, error),
+                number(float(np.nanmean(error)), 2),
             ),
         )
         title = f"{m.label}: {frames.expressions[t]}, {cell.source} to {cell.target}, {cell.n_examples} examples"
