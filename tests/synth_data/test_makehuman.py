@@ -1,0 +1,108 @@
+"""The dataset as studies see it."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from retarget.check import InvalidInput, check_frames, check_triangle_areas
+from synth_data.makehuman.dataset import MakeHuman, MakeHumanDataset
+
+
+@pytest.fixture(scope="module")
+def data() -> MakeHumanDataset:
+    return MakeHuman(identities=2, expressions=12).load()
+
+
+def test_what_a_study_reads(data: MakeHumanDataset) -> None:
+    assert data.identities == ("person-000", "person-001")
+    assert len(data.expressions) == 12
+    assert (data.conditions.dataset, data.conditions.truth, data.conditions.weights) == (
+        "makehuman",
+        "personal_blendshapes",
+        "sparse",
+    )
+    assert "LBS becomes exact" in data.favours
+    assert data.frames("person-001", []).shape == (0, 4328, 3)
+
+
+def test_all_frames_pass_the_checks_of_the_library(data: MakeHumanDataset) -> None:
+    for identity in data.identities:
+        frames = check_frames(identity, data.frames(identity, range(12)), len(data.neutral(identity)))
+        for index, frame in enumerate(frames):
+            check_triangle_areas(f"{identity} {index}", frame, data.faces)
+        assert np.linalg.norm(frames - data.neutral(identity), axis=-1).max(axis=1).min() > 1  # mm: each one moves
+
+
+def test_truth_is_linear_in_the_weights(data: MakeHumanDataset) -> None:
+    perform = data.performers["person-000"]
+    rest = perform(np.zeros((1, 51)))[0]
+    a, b = data.weights[:2] / 2
+    both = perform(np.array([a, b, a + b]))
+    np.testing.assert_allclose(rest, data.neutral("person-000"), atol=1e-12)
+    np.testing.assert_allclose(both[2] - rest, (both[0] - rest) + (both[1] - rest), atol=1e-9)
+
+
+def test_cranium_is_stable(data: MakeHumanDataset) -> None:
+    cranium = data.regions.vertices["cranium"]
+    motion = data.frames("person-000", range(12))[:, cranium] - data.neutral("person-000")[cranium]
+    assert np.linalg.norm(motion, axis=-1).mean() < 0.1
+
+
+def test_identities_and_frames_do_not_depend_on_how_many_are_asked_for(data: MakeHumanDataset) -> None:
+    alone = MakeHuman(identities=1, first_seed=1, expressions=5).load()
+    np.testing.assert_array_equal(alone.neutral("person-001"), data.neutral("person-001"))
+    np.testing.assert_allclose(
+        alone.frames("person-001", [3, 1]), data.frames("person-001", [3, 1]), rtol=0, atol=1e-10
+    )
+
+
+def test_fingerprint_follows_the_settings_that_decide_frames() -> None:
+    settings = MakeHuman()
+    same = dataclasses.replace(settings, wheel="/elsewhere.whl", cache="/elsewhere")
+    assert same._fingerprint() == settings._fingerprint()
+    changes: tuple[dict[str, Any], ...] = (
+        {"identities": 5}, {"first_seed": 9}, {"expressions": 9}, {"expression_seed": 1}, {"subdivisions": 1},
+    )  # fmt: skip
+    prints = {dataclasses.replace(settings, **change)._fingerprint() for change in changes}
+    assert len(prints | {settings._fingerprint()}) == 6
+
+
+def test_subdivision_refines_faces_regions_and_frames_alike(data: MakeHumanDataset) -> None:
+    fine = MakeHuman(identities=1, expressions=2, subdivisions=1).load()
+    n = len(fine.neutral("person-000"))
+    assert n == 17263
+    assert len(fine.faces) == 4 * len(data.faces)
+    assert fine.frames("person-000", [0, 1]).shape == (2, n, 3)
+    assert all(members.max() < n for members in fine.regions.vertices.values())
+    assert len(fine.regions.vertices["head"]) > 3 * len(data.regions.vertices["head"])
+    coarse = data.neutral("person-000")
+    assert np.linalg.norm(fine.neutral("person-000")[: len(coarse)] - coarse, axis=1).mean() < 1  # mm of smoothing
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"identities": 0}, "dataset.identities: expected a whole number of at least 1, got 0"),
+        ({"first_seed": -1}, "dataset.first_seed"),
+        ({"expressions": 0}, "dataset.expressions"),
+        ({"expressions": 2.5}, "dataset.expressions"),
+        ({"subdivisions": 3}, "dataset.subdivisions: expected 0"),
+        ({"truth": "personal_blendshape"}, "did you mean 'personal_blendshapes'"),
+        ({"weights": "recorded"}, "dataset.weights: expected one of sparse"),
+        ({"wheel": "/no/such/file.whl"}, "does not exist"),
+    ],
+)
+def test_settings_out_of_range_are_refused(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidInput, match=message):
+        MakeHuman(**settings).load()
+
+
+def test_unknown_identities_and_expressions_are_refused(data: MakeHumanDataset) -> None:
+    with pytest.raises(InvalidInput, match="expected one of person-000, person-001, got 'nobody'"):
+        data.neutral("nobody")
+    with pytest.raises(InvalidInput, match="expected indices from 0 to 11, got 3 to 12"):
+        data.frames("person-000", [3, 12])
