@@ -35,6 +35,7 @@ class TransferredResidual(Retargeter):
     Raises InvalidInput for settings out of range, and from `prepare` for a patch_count that the mesh cannot have.
     """
 
+    control: ClassVar[bool] = True
     exact_on_self: ClassVar[bool] = True
 
     lambda_reg: float

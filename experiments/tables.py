@@ -85,9 +85,9 @@ def _describe(planned: Plan, config: Mapping[str, Any], started: datetime) -> di
         "methods": [
             {
                 "name": row.name,
-                "label": row.name.replace("_", " "),
+                "label": row.name,
                 "description": _description(row),
-                "kind": "method" if row.method else "reference",
+                "kind": _kind(row),
                 "settings": dict(row.settings),
             }
             for row in planned.rows
@@ -115,6 +115,12 @@ def _describe(planned: Plan, config: Mapping[str, Any], started: datetime) -> di
             "seed": study.seed,
         },
     }
+
+
+def _kind(row: Row) -> str:
+    if row.method is None:
+        return "reference"
+    return "control" if row.method.control else "method"
 
 
 def _description(row: Row) -> str:

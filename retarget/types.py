@@ -148,6 +148,7 @@ class Retargeter(ABC):
     the cost per frame separate by themselves. Anything random has a ``seed`` field.
     """
 
+    control: ClassVar[bool] = False  # a row that isolates the effect of one part, proposed by nobody as a method
     exact_on_self: ClassVar[bool] = False  # claims that source == target, examples included, gives the source's frames
 
     def unsupported(self, problem: RetargetProblem) -> str | None:
