@@ -14,6 +14,7 @@ from itertools import product
 
 import numpy as np
 
+from retarget.check import InvalidInput
 from retarget.geometry.procrustes import rigid_align
 from retarget.types import FloatArray, IntArray, Regions
 from synth_data.makehuman.head import BaseHead
@@ -81,7 +82,10 @@ def measure(vertices: FloatArray, landmarks: Mapping[str, int]) -> FloatArray:
 
 
 class IdentitySampler:
-    """Draws identities on one base head; the same seed gives the same head, whatever was drawn before."""
+    """Draws identities on one base head; the same seed gives the same head, whatever was drawn before.
+
+    Raises InvalidInput for a seed whose draws all need a distorted face (none is known).
+    """
 
     def __init__(self, head: BaseHead, targets: Targets, regions: Regions):
         self._head = head
@@ -106,6 +110,11 @@ class IdentitySampler:
             vertices, strain = self._conditioned(base, free, mean + deviation * np.clip(drawn, -2, 2))
             if strain < LARGEST_STRAIN:
                 break
+        else:
+            raise InvalidInput(
+                f"Identity seed {seed}: none of {ATTEMPTS} draws reaches its face widths within {LARGEST_STRAIN} "
+                "standard deviations, expected one; choose another dataset.first_seed."
+            )
         rotation, translation = rigid_align(vertices[self._cranium], self._head.vertices[self._cranium])
         return Identity(seed, gender, 25 + 65 * oldness, vertices @ rotation.T + translation)
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from retarget.check import check_triangle_areas
+from retarget.check import InvalidInput, check_triangle_areas
 from retarget.geometry.procrustes import rigid_align
 from retarget.types import Regions
+from synth_data.makehuman import identities
 from synth_data.makehuman.anthropometry import Comparison, compare_widths
 from synth_data.makehuman.head import BaseHead
 from synth_data.makehuman.identities import Identity, IdentitySampler, measure
@@ -38,16 +39,25 @@ def test_same_seed_same_bits_and_no_memory(sampler: IdentitySampler, base: Base)
 def test_heads_are_aligned_on_the_cranium_adult_and_of_true_size(sampler: IdentitySampler, base: Base) -> None:
     head, _, regions = base
     cranium = regions.vertices["cranium"]
-    identities: list[Identity] = [sampler(seed) for seed in range(8)]
-    for identity in identities:
+    drawn: list[Identity] = [sampler(seed) for seed in range(8)]
+    for identity in drawn:
         rotation, translation = rigid_align(identity.vertices[cranium], head.vertices[cranium])
         np.testing.assert_allclose(rotation, np.eye(3), atol=1e-9)
         np.testing.assert_allclose(translation, 0, atol=1e-6)
         assert 25 <= identity.age <= 90
         check_triangle_areas(str(identity.seed), identity.vertices, head.faces)
-    assert [identity.gender for identity in identities] == ["man", "woman"] * 4
-    sizes = [np.ptp(identity.vertices[cranium], axis=0).max() for identity in identities]
+    assert [identity.gender for identity in drawn] == ["man", "woman"] * 4
+    sizes = [np.ptp(identity.vertices[cranium], axis=0).max() for identity in drawn]
     assert np.std(sizes) > 1  # mm: a similarity would have made them alike
+
+
+def test_a_seed_whose_draws_all_distort_the_face_is_refused(
+    sampler: IdentitySampler, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(identities, "LARGEST_STRAIN", 0.01)
+    monkeypatch.setattr(identities, "ATTEMPTS", 2)
+    with pytest.raises(InvalidInput, match="Identity seed 5: none of 2 draws"):
+        sampler(5)
 
 
 def test_people_differ(sampler: IdentitySampler, base: Base) -> None:

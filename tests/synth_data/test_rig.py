@@ -103,7 +103,7 @@ def test_lips_part_under_jaw_open_and_meet_again_under_mouth_close(base: Base, p
         closed = opened + rig[UNIT["mouthClose"]]
         rest, wide, shut = (lip_gap(v, regions) for v in (identity.vertices, opened, closed))
         assert wide > rest + 15
-        assert shut < rest + 0.3 * (wide - rest)
+        assert abs(shut - rest) < 0.5  # mm: jawOpen and mouthClose are personalised alike
 
 
 def test_units_cross_the_skin_hardly_more_than_the_shared_units_do(base: Base, people: People) -> None:
@@ -112,7 +112,7 @@ def test_units_cross_the_skin_hardly_more_than_the_shared_units_do(base: Base, p
         shared = crossings(head.vertices + targets[f"units/{name}"], head.faces)
         for identity, rig in people[:2]:
             at_rest = crossings(identity.vertices, head.faces)
-            assert crossings(identity.vertices + rig[UNIT[name]], head.faces) <= shared + at_rest + 60, name
+            assert crossings(identity.vertices + rig[UNIT[name]], head.faces) <= shared + at_rest + 40, name
 
 
 def test_local_similarity_recovers_a_similarity(base: Base) -> None:
