@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from rich.console import Console
 
 from experiments.backend import Backend
 from experiments.evaluate import Cell, evaluate_pair
 from experiments.plan import Plan
 from experiments.progress import duration, progress
-from experiments.record import write_whole
-
-
-def check_folder(folder: Path) -> None:
-    """Raises InvalidInput unless files can be written there."""
-    write_whole(folder / ".writable", lambda temporary: temporary.write_text(""))
-    (folder / ".writable").unlink(missing_ok=True)
 
 
 def compute(planned: Plan, backend: Backend, console: Console) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 from hydra import compose, initialize_config_module
 from hydra._internal.utils import get_args_parser
@@ -13,6 +14,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 
 from experiments.catalogue import GROUPS, options
+from experiments.record import check_folder
 from retarget.check import InvalidInput
 from retarget.suggest import choose, nearest
 
@@ -20,12 +22,18 @@ _HYDRA_GROUPS = ("hydra", "paths")
 
 
 def check_overrides(config_name: str, arguments: Sequence[str]) -> None:
-    """Raises InvalidInput for an unknown option of a group, or a key that the chosen options do not have."""
+    """Raises InvalidInput for an unknown option of a group, or a key that the chosen options do not have.
+
+    Also for a sweep into a folder that cannot be written, because Hydra makes that folder before any code of ours runs.
+    """
+    parsed = get_args_parser().parse_args(list(arguments))
     try:
-        written = get_args_parser().parse_args(list(arguments)).overrides
-        overrides = OverridesParser.create().parse_overrides(written)
+        overrides = OverridesParser.create().parse_overrides(parsed.overrides)
     except HydraException as error:
         raise InvalidInput(f"cannot read the command line: {error}") from error
+    if parsed.multirun:
+        folders = [str(override.value()) for override in overrides if override.key_or_group == "paths.results"]
+        check_folder(Path(folders[-1] if folders else "results"))
     choices = [override for override in overrides if override.key_or_group in GROUPS]
     for override in choices:
         for name in _chosen(override):

@@ -121,3 +121,9 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
             f"{path}: {what}. Finished cells are kept and no file is half written. {remedy}, "
             "then start the same command again: it continues where it stopped."
         ) from error
+
+
+def check_folder(folder: Path) -> None:
+    """Raises InvalidInput unless files can be written there."""
+    write_whole(folder / ".writable", lambda temporary: temporary.write_text(""))
+    (folder / ".writable").unlink(missing_ok=True)

@@ -11,9 +11,10 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from experiments.compute import check_folder, compute
+from experiments.compute import compute
 from experiments.metrics.metric import Metric
 from experiments.plan import plan
+from experiments.record import check_folder
 from experiments.study import Row, Study
 from experiments.tables import collect, write_tables
 from reports.report import build_report

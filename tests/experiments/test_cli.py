@@ -150,6 +150,16 @@ def test_no_network_is_told_with_what_to_do(tmp_path: Path) -> None:
     assert not records(tmp_path)
 
 
+@pytest.mark.parametrize("sweep", [[], ["-m"]])
+def test_a_results_folder_that_is_a_file_is_refused_and_kept(tmp_path: Path, sweep: list[str]) -> None:
+    (tmp_path / "results").write_text("somebody's file")
+    done = call(tmp_path, "run", *sweep, *TINY)
+    assert done.returncode == 1
+    assert "paths.results=FOLDER" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert (tmp_path / "results").read_text() == "somebody's file"
+
+
 def test_a_record_of_an_old_schema_stops_the_run_and_is_kept(finished: Path, tmp_path: Path) -> None:
     some = records(finished)[0]
     record = read_record(some.parent)

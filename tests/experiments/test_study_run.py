@@ -14,10 +14,10 @@ from rich.console import Console
 
 from experiments import plan as plan_module
 from experiments.backend import Backend, Joblib, Serial
-from experiments.compute import check_folder, compute
+from experiments.compute import compute
 from experiments.metrics.vertex_l2 import VertexL2
 from experiments.plan import Plan, plan
-from experiments.record import FRAMES, METRIC_COLUMNS, RECORD
+from experiments.record import FRAMES, METRIC_COLUMNS, RECORD, check_folder
 from experiments.study import Figures, Row, Study
 from experiments.tables import collect
 from retarget.check import InvalidInput
