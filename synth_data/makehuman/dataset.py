@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from retarget.check import InvalidInput, check_triangle_areas, check_vertices
+from retarget.suggest import choose
 from retarget.types import FloatArray, IntArray, Regions
 from synth_data.dataset import Conditions, Dataset, DatasetConfig, Progress
 from synth_data.makehuman.identities import IdentitySampler
@@ -79,13 +79,16 @@ class MakeHuman(DatasetConfig):
                 f"dataset.subdivisions: expected 0 (4,328 vertices), 1 (about 17,000) or 2 (about 69,000), got "
                 f"{self.subdivisions!r}."
             )
-        _one_of("truth", self.truth, TRUTHS)
-        _one_of("weights", self.weights, WEIGHTS)
+        choose("dataset.truth", self.truth, TRUTHS)
+        choose("dataset.weights", self.weights, WEIGHTS)
 
     def _fingerprint(self) -> str:
-        """SHA-256 over the wheel, the settings that decide frames, and the code and data that make them."""
+        """SHA-256 over the wheel, the settings that decide frames, and the code and data that make them.
+
+        The number of identities is no part of it: an identity's name holds its seed, which alone decides it.
+        """
         digest = hashlib.sha256(SHA256.encode())
-        settings = (self.identities, self.first_seed, self.expressions, self.expression_seed, self.subdivisions)
+        settings = (self.expressions, self.expression_seed, self.subdivisions)
         digest.update(repr((settings, self.truth, self.weights)).encode())
         for package in ("synth_data", "synth_data.makehuman"):
             for file in sorted(resources.files(package).iterdir(), key=lambda file: file.name):
@@ -130,9 +133,3 @@ class MakeHumanDataset(Dataset):
 
 def _path(text: str | None) -> Path | None:
     return None if text is None else Path(text).expanduser()
-
-
-def _one_of(name: str, value: str, known: Mapping[str, object]) -> None:
-    if value not in known:
-        near = difflib.get_close_matches(str(value), known, n=1, cutoff=0.0)[0]
-        raise InvalidInput(f"dataset.{name}: expected one of {', '.join(known)}, got {value!r}; did you mean {near!r}?")
