@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from retarget.check import InvalidInput, check_no_edits
+from retarget.check import check_no_edits
 from retarget.geometry.patches import contiguous_patches
 from retarget.rig.blendshapes import (
     BlendshapeTransfer,
@@ -22,6 +22,7 @@ from retarget.rig.blendshapes import (
     without_blendshapes,
 )
 from retarget.rig.deformation_transfer import DeformationTransfer, Weighting
+from retarget.suggest import choose
 from retarget.types import Examples, FloatArray, Pair, Retargeter, RetargetProblem, RetargetResult, SolveInfo
 
 
@@ -47,10 +48,7 @@ class TransferredResidual(Retargeter):
 
     def __post_init__(self) -> None:
         self._ridge()
-        if self.deformation_transfer not in tuple(Weighting):
-            raise InvalidInput(
-                f"deformation_transfer: expected one of {', '.join(Weighting)}, got {self.deformation_transfer!r}."
-            )
+        choose("deformation_transfer", self.deformation_transfer, Weighting)
 
     def unsupported(self, problem: RetargetProblem) -> str | None:
         return without_blendshapes(problem)

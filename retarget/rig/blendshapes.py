@@ -21,6 +21,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from retarget.check import InvalidInput, UnsupportedProblem, check_frames, check_vertices
+from retarget.suggest import choose
 from retarget.types import Examples, FloatArray, IntArray, Pair, RetargetProblem
 
 CHUNK = 16  # frames at a time: keeps the work in the cache
@@ -54,8 +55,7 @@ class Ridge:
             value = getattr(self, name)
             if not 0 < value < np.inf:
                 raise InvalidInput(f"{name}: expected a positive number, got {value}.")
-        if self.residual not in tuple(Residual):
-            raise InvalidInput(f"residual: expected one of {', '.join(Residual)}, got {self.residual!r}.")
+        choose("residual", self.residual, Residual)
 
     def diagonal(self, vertex_count: int) -> float:
         """r_p in mm^2: what the diagonal of B^T B gains for a patch of vertex_count vertices."""

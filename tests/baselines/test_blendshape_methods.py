@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from baselines.gradient_transfer import GradientTransfer
 from baselines.linear_blendshapes import LinearBlendshapes
 from baselines.patch_blendshapes import PatchBlendshapes
+from baselines.surface_deformation_transfer import SurfaceDeformationTransfer
 from baselines.transferred_residual import TransferredResidual
 from retarget.check import InvalidInput
 from retarget.rig.deformation_transfer import DeformationTransfer, Weighting
@@ -63,7 +63,7 @@ def test_with_useless_examples_the_control_is_deformation_transfer(problem):
     )
     frames = problem.source_animation
     control = TransferredResidual(0.01, patch_count=20).retarget(still, frames).frames
-    np.testing.assert_allclose(control, GradientTransfer().retarget(problem, frames).frames, atol=1e-9)
+    np.testing.assert_allclose(control, SurfaceDeformationTransfer("area").retarget(problem, frames).frames, atol=1e-9)
 
 
 def test_settings_are_checked_when_they_are_made():
@@ -71,7 +71,7 @@ def test_settings_are_checked_when_they_are_made():
         LinearBlendshapes(-1.0)
     with pytest.raises(InvalidInput, match="residual"):
         PatchBlendshapes(1.0, residual="max")
-    with pytest.raises(InvalidInput, match="deformation_transfer: expected one of uniform, area, got 'rigid'"):
+    with pytest.raises(InvalidInput, match="deformation_transfer: 'rigid' is unknown, expected one of uniform, area"):
         TransferredResidual(1.0, None, deformation_transfer="rigid")
 
 

@@ -3,15 +3,12 @@
 import numpy as np
 import pytest
 
-from baselines.gradient_transfer import GradientTransfer
-from baselines.sumner_popovic import SumnerPopovic
+from baselines.surface_deformation_transfer import SurfaceDeformationTransfer
 from retarget.rig.deformation_transfer import DeformationTransfer, Weighting
 from tests.synthetic import problem
 
 
-@pytest.mark.parametrize(
-    ("method", "weighting"), [(SumnerPopovic(), Weighting.UNIFORM), (GradientTransfer(), Weighting.AREA)]
-)
+@pytest.mark.parametrize(("method", "weighting"), [(SurfaceDeformationTransfer(w), w) for w in Weighting])
 def test_uses_its_weighting_and_the_cranium(method, weighting):
     given = problem()
     frames = given.source_animation

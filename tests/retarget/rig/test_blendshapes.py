@@ -128,7 +128,7 @@ def test_chunks_do_not_change_the_result():
         ({"lambda_reg": 0.0}, "lambda_reg: expected a positive number, got 0.0"),
         ({"lambda_reg": np.nan}, "lambda_reg"),
         ({"lambda_reg": 1.0, "length_mm": -1.0}, "length_mm"),
-        ({"lambda_reg": 1.0, "residual": "median"}, "expected one of mean, sum, got 'median'"),
+        ({"lambda_reg": 1.0, "residual": "median"}, "'median' is unknown, expected one of mean, sum"),
     ],
 )
 def test_refuses_settings_out_of_range(settings, message):
