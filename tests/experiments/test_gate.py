@@ -4,11 +4,10 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-import yaml
 from omegaconf import OmegaConf
 from rich.console import Console
 
-from experiments.gate import GATES, Gate, compare, gate, propose, read_gates
+from experiments.gate import GATES, Gate, compare, gate, propose, read_gates, write_gates
 from retarget.check import InvalidInput
 
 GATE = Gate("plbs", 5, "vertex_l2_mean", "head", 0.5, 0.01, "mm", "lower", "because", "study=ci")
@@ -50,10 +49,16 @@ def test_the_command_prints_a_table_and_tells_whether_all_hold(tmp_path: Path) -
     checking = OmegaConf.create({"study": "ci", "gates": str(file), "propose": None})
     assert gate(tmp_path, proposing, Console(file=out))
     assert gate(tmp_path, checking, Console(file=out, width=150))
-    assert "2 gates hold, 0 fail" in out.getvalue()
+    assert "2 gates hold (1 on signed errors are not listed), 0 fail" in out.getvalue()
     metrics(0.6).to_parquet(tmp_path / "metrics.parquet")
     assert not gate(tmp_path, checking, Console(file=out, width=150))
     assert "FAIL" in out.getvalue()
+
+
+def test_gates_come_back_as_they_were_written(tmp_path: Path) -> None:
+    gates = [GATE, replace(GATE, metric="signed_error_x", value=-0.001, direction="zero"), replace(GATE, n_examples=15)]
+    write_gates(tmp_path / "gates.yaml", gates)
+    assert sorted(read_gates(tmp_path / "gates.yaml"), key=str) == sorted(gates, key=str)
 
 
 def test_missing_studies_and_odd_files_are_refused(tmp_path: Path) -> None:
@@ -62,8 +67,8 @@ def test_missing_studies_and_odd_files_are_refused(tmp_path: Path) -> None:
         gate(tmp_path / "ci", config, Console())
     with pytest.raises(InvalidInput, match="no gates file"):
         read_gates(tmp_path / "gates.yaml")
-    (tmp_path / "gates.yaml").write_text(yaml.safe_dump([{"method": "plbs"}]))
-    with pytest.raises(InvalidInput, match="expected a list of gates with method, n_examples"):
+    (tmp_path / "gates.yaml").write_text("- {unit: mm, gates: [[plbs, 5]]}")
+    with pytest.raises(InvalidInput, match="expected groups with unit, direction"):
         read_gates(tmp_path / "gates.yaml")
 
 
