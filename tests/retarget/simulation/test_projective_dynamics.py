@@ -1,0 +1,249 @@
+import dataclasses
+
+import numba
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from retarget.check import InvalidInput
+from retarget.geometry.cholesky import NotPositiveDefinite
+from retarget.simulation.projections import unit_product
+from retarget.simulation.projective_dynamics import (
+    Anderson,
+    ProjectiveDynamics,
+    SolverSettings,
+    TissueWeights,
+    tissue_weights,
+)
+from retarget.simulation.tetrahedra import rest_shape
+from retarget.types import Status
+from tests.retarget.simulation.box import box
+
+EXACT = SolverSettings(max_iterations=500, energy_tolerance=1e-13, step_tolerance=1e-9)
+
+
+@pytest.fixture(scope="module")
+def slab():
+    """Skin on top, skull below, muscle in the lower half; 40 x 40 x 10 mm."""
+    vertices, tets = box((10, 10, 4), (40.0, 40.0, 10.0))
+    shape = rest_shape(vertices, tets)
+    skull = np.flatnonzero(vertices[:, 2] == 0)
+    skin = np.flatnonzero(vertices[:, 2] == 10)
+    operator = sp.csr_array((np.ones(len(skin)), (np.arange(len(skin)), skin)), shape=(len(skin), len(vertices)))
+    muscle = vertices[tets].mean(axis=1)[:, 2] < 5
+    return shape, muscle, skull, operator, vertices[skin]
+
+
+def bulge(skin, height=3.0):
+    return skin + np.exp(-((skin[:, :2] - 20) ** 2).sum(axis=1) / 60)[:, None] * [0.5 * height, 0, height]
+
+
+def solver(slab, settings=None, **changes):
+    shape, muscle, skull, operator, _ = slab
+    return ProjectiveDynamics(shape, tissue_weights(shape, muscle), skull, operator, settings=settings, **changes)
+
+
+def test_the_neutral_target_gives_the_neutral(slab):
+    shape, *_, skin = slab
+    result = solver(slab).solve(skin)
+    assert result.info.status is Status.CONVERGED
+    assert result.info.iterations == 1
+    np.testing.assert_allclose(result.vertices, shape.vertices, atol=1e-12)
+    disturbed = shape.vertices + 0.2 * np.random.default_rng(0).normal(size=shape.vertices.shape)
+    result = solver(slab, EXACT).solve(skin, start=disturbed)
+    np.testing.assert_allclose(result.vertices, shape.vertices, atol=1e-6)
+
+
+@pytest.mark.parametrize("depth", [0, 5])
+def test_the_energy_never_rises_and_the_history_is_whole(slab, depth):
+    *_, skin = slab
+    settings = SolverSettings(anderson_depth=depth)
+    problem = solver(slab, settings)
+    result = problem.solve(bulge(skin, 8.0))
+    assert result.info.status is Status.CONVERGED
+    energy = np.array(result.info.energy)
+    assert len(energy) == result.info.iterations + 1 == len(result.rms_steps) + 1
+    assert (np.diff(energy) <= 0).all()
+    assert energy[-2] - energy[-1] <= settings.energy_tolerance * energy[-2]
+    assert result.rms_steps[-1] <= settings.step_tolerance
+    assert problem.energy_and_descent(result.vertices, bulge(skin, 8.0))[0] == energy[-1]
+
+
+def test_acceleration_finds_the_same_minimum_in_fewer_iterations(slab):
+    *_, skin = slab
+    results = [solver(slab, dataclasses.replace(EXACT, anderson_depth=d)).solve(bulge(skin)) for d in (0, 5)]
+    np.testing.assert_allclose(results[0].vertices, results[1].vertices, atol=1e-4)
+    assert results[1].info.iterations < 0.5 * results[0].info.iterations
+
+
+def test_the_minimum_is_stationary(slab):
+    _, _, skull, operator, skin = slab
+    problem = solver(slab, EXACT)
+    result = problem.solve(bulge(skin))
+    _, start = problem.energy_and_descent(slab[0].vertices, bulge(skin))
+    _, end = problem.energy_and_descent(result.vertices, bulge(skin))
+    assert np.abs(end[problem.free]).max() < 1e-6 * np.abs(start).max()
+    np.testing.assert_array_equal(result.vertices[skull], slab[0].vertices[skull])
+    assert np.abs(operator @ result.vertices - bulge(skin)).max() < 0.5
+
+
+def test_the_gradient_of_the_whole_energy(slab):
+    shape, *_, skin = slab
+    problem = solver(slab)
+    rng = np.random.default_rng(0)
+    x, direction = shape.vertices + rng.normal(size=(2, *shape.vertices.shape))
+    h = 1e-4
+    slope = np.subtract(*(problem.energy_and_descent(x + s * h * direction, skin)[0] for s in (1, -1))) / (2 * h)
+    assert -2 * np.vdot(problem.energy_and_descent(x, skin)[1], direction) == pytest.approx(slope, rel=1e-6)
+
+
+def test_patch_test():
+    """A homogeneous deformation of the boundary continues into the interior, exactly."""
+    vertices, tets = box((4, 4, 4), (20.0, 20.0, 20.0))
+    shape = rest_shape(vertices, tets)
+    boundary = np.flatnonzero(((vertices == 0) | (vertices == 20)).any(axis=1))
+    moved = vertices @ np.array([[1.1, 0.1, 0], [0, 0.95, 0.05], [0.1, 0, 1.05]]).T
+    weights = TissueWeights(shape.volumes, shape.volumes)
+    result = ProjectiveDynamics(shape, weights, boundary, settings=EXACT).solve(fixed_positions=moved[boundary])
+    np.testing.assert_allclose(result.vertices, moved, atol=1e-6)
+
+
+def test_a_manufactured_solution_converges_with_the_square_of_the_mesh_size():
+    """phi = (X + u(X), Y, Z) with u = a sin(k X), held by targets s = phi - 100 div P / (2 c) at every vertex.
+
+    F = diag(1 + u', 1, 1), so R = I, D = diag(d), and only P_11 = 2 (F_11 - 1) + 2 (F_11 - d_1) has a divergence.
+    """
+    length, a, c = 20.0, 0.6, 3.0
+    k = 2 * np.pi / length
+
+    def stress(x):
+        stretch = 1 + a * k * np.cos(k * x)
+        order = np.argsort(-np.stack([stretch, np.ones_like(x), np.ones_like(x)], axis=1), axis=1, kind="stable")
+        sigma = np.take_along_axis(np.stack([stretch, np.ones_like(x), np.ones_like(x)], axis=1), order, axis=1)
+        d = unit_product(sigma)[order == 0]
+        return 2 * (stretch - 1) + 2 * (stretch - d)
+
+    errors = []
+    for cells in (4, 8, 16):
+        vertices, tets = box((cells,) * 3, (length,) * 3)
+        shape = rest_shape(vertices, tets)
+        exact = vertices + np.c_[a * np.sin(k * vertices[:, 0]), np.zeros((len(vertices), 2))]
+        h = 1e-4
+        divergence = (stress(vertices[:, 0] + h) - stress(vertices[:, 0] - h)) / (2 * h)
+        targets = exact - np.c_[100 * divergence / (2 * c), np.zeros((len(vertices), 2))]
+        lumped = np.bincount(tets.ravel(), np.repeat(shape.volumes / 4, 4))
+        boundary = np.flatnonzero(((vertices == 0) | (vertices == length)).any(axis=1))
+        problem = ProjectiveDynamics(
+            shape, TissueWeights(shape.volumes, shape.volumes), boundary, sp.eye_array(len(vertices)), c * lumped, EXACT
+        )
+        result = problem.solve(targets, exact[boundary])
+        errors.append(np.sqrt(lumped @ ((result.vertices - exact) ** 2).sum(axis=1) / lumped.sum()))
+    assert errors[-1] < 0.01
+    rates = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert (rates > 1.8).all(), (errors, rates)
+
+
+def test_a_warm_start_reaches_the_same_minimum_sooner(slab):
+    *_, skin = slab
+    problem = solver(slab)
+    before = problem.solve(bulge(skin, 3.0)).vertices
+    cold, warm = problem.solve(bulge(skin, 3.2)), problem.solve(bulge(skin, 3.2), start=before)
+    assert warm.info.iterations < cold.info.iterations
+    np.testing.assert_allclose(warm.vertices, cold.vertices, atol=0.05)
+
+
+def test_soft_constraints_have_their_own_weights(slab):
+    shape, muscle, skull, operator, skin = slab
+    pull = np.full(len(skin), 1e-9)
+    pull[60] = 100.0
+    wanted = skin + np.array([0, 0, 2.0])
+    result = ProjectiveDynamics(shape, tissue_weights(shape, muscle), skull, operator, pull).solve(wanted)
+    lifted = (operator @ result.vertices - skin)[:, 2]
+    assert 1 < lifted[60] < 2
+    assert np.abs(np.delete(lifted, [49, 59, 60, 61, 71, 48, 72, 50, 70])).max() < 0.7 * lifted[60]
+
+
+def test_same_result_for_any_number_of_threads(slab):
+    *_, skin = slab
+    before = numba.get_num_threads()
+    results = []
+    for threads in {1, before}:
+        numba.set_num_threads(threads)
+        results.append(solver(slab).solve(bulge(skin)).vertices)
+    numba.set_num_threads(before)
+    np.testing.assert_allclose(results[0], results[-1], atol=1e-9)
+
+
+@pytest.mark.parametrize("spoil", ["nan", "mirror", "collapse"])
+def test_a_hopeless_start_fails_without_nan(slab, spoil):
+    shape, *_, skin = slab
+    start = {"nan": np.nan, "mirror": [1, 1, -1], "collapse": 0}[spoil] * shape.vertices
+    result = solver(slab).solve(skin, start=start)
+    assert result.info.status is Status.FAILED
+    assert result.info.message == "start: not finite" if spoil == "nan" else "inverted or flat" in result.info.message
+    assert np.isfinite(result.info.energy).all()
+    np.testing.assert_array_equal(result.vertices, shape.vertices)
+
+
+def test_an_inverted_start_can_be_repaired(slab):
+    shape, *_, skin = slab
+    start = shape.vertices + 2.5 * np.random.default_rng(0).normal(size=shape.vertices.shape)
+    assert solver(slab).solve(skin, start=start).info.status is Status.FAILED
+    result = solver(slab, dataclasses.replace(EXACT, repair_inverted_start=True)).solve(skin, start=start)
+    assert result.info.status is Status.CONVERGED
+    assert result.inverted == 0
+    np.testing.assert_allclose(result.vertices, shape.vertices, atol=1e-5)
+
+
+def test_too_few_iterations_are_reported(slab):
+    *_, skin = slab
+    result = solver(slab, SolverSettings(max_iterations=2)).solve(bulge(skin))
+    assert result.info.status is Status.MAX_ITERATIONS
+    assert result.info.iterations == 2
+
+
+def test_nothing_that_holds_the_mesh_is_refused(slab):
+    shape, muscle, *_ = slab
+    with pytest.raises(NotPositiveDefinite):
+        ProjectiveDynamics(shape, tissue_weights(shape, muscle))
+
+
+def test_bad_input_is_refused(slab):
+    shape, muscle, skull, operator, skin = slab
+    weights = tissue_weights(shape, muscle)
+    with pytest.raises(InvalidInput, match="muscle: expected one flag"):
+        tissue_weights(shape, muscle[1:])
+    with pytest.raises(InvalidInput, match="no unique shape"):
+        tissue_weights(shape, muscle, muscle_strain=0.0)
+    with pytest.raises(InvalidInput, match="fixed: expected vertex indices"):
+        ProjectiveDynamics(shape, weights, [len(shape.vertices)])
+    with pytest.raises(InvalidInput, match="at least one free vertex"):
+        ProjectiveDynamics(shape, weights, np.arange(len(shape.vertices)))
+    with pytest.raises(InvalidInput, match="target_operator: expected"):
+        ProjectiveDynamics(shape, weights, skull, operator[:, 1:])
+    with pytest.raises(InvalidInput, match="target_weights: expected finite"):
+        ProjectiveDynamics(shape, weights, skull, operator, -1.0)
+    with pytest.raises(InvalidInput, match=r"weights\.strain"):
+        ProjectiveDynamics(shape, TissueWeights(-weights.strain, weights.volume), skull)
+    problem = solver(slab)
+    with pytest.raises(InvalidInput, match="targets: 1 vertices are NaN"):
+        problem.solve(np.where(np.arange(len(skin))[:, None] == 3, np.nan, skin))
+    with pytest.raises(InvalidInput, match="fixed_positions"):
+        problem.solve(skin, skin[:3])
+    with pytest.raises(InvalidInput, match="start: expected"):
+        problem.solve(skin, start=skin)
+    with pytest.raises(InvalidInput, match="max_iterations"):
+        SolverSettings(max_iterations=0)
+    with pytest.raises(InvalidInput, match="energy_tolerance"):
+        SolverSettings(energy_tolerance=0)
+
+
+def test_anderson_solves_a_linear_fixed_point_of_dimension_m_in_m_plus_one_steps():
+    """On an affine map it is GMRES (Walker and Ni 2011, theorem 2.2)."""
+    rng = np.random.default_rng(0)
+    basis = np.linalg.qr(rng.normal(size=(4, 4)))[0]
+    matrix = basis * [0.9, 0.5, -0.3, 0.1] @ basis.T
+    accelerate, x = Anderson(5), rng.normal(size=4)
+    for _ in range(6):
+        x = x + accelerate(x, matrix @ x + 1 - x)
+    np.testing.assert_allclose(x, np.linalg.solve(np.eye(4) - matrix, np.ones(4)), atol=1e-5)
