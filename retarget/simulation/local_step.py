@@ -1,6 +1,7 @@
 """The local step of projective dynamics in one pass over the tets.
 
-Deformation gradient, projections, energies and right-hand side are computed tet by tet without intermediate arrays.
+Deformation gradient, projections, energies and right-hand side are computed for LANES tets at a time, component by
+component, so that the compiler emits vector instructions and nothing of the size of the mesh is written between.
 Most tets need no SVD: the closest rotation comes from Newton's iteration (Higham 1986) and the closest matrix of unit
 determinant from sequential linearisation, both where ||F - R||_F <= 1/3. There the latter is provably global: as
 det R = 1 the projection is at most 1/3 away, other stationary points are at least sigma_3 / 2 >= 1/3 away
@@ -19,7 +20,11 @@ from retarget.types import FloatArray
 
 CHUNKS = 8  # fixed, so that sums have one order whatever the number of threads
 NEAR = 1.0 / 9.0  # ||F - R||^2 up to which the volume projection needs no SVD
-PROJECTION_TOLERANCE = 1e-7  # last step of the iterations, Frobenius norm
+FLAT = 1e-3  # determinant up to which Newton's iteration is not tried
+POLAR_TOLERANCE = 1e-10  # squared last step; as convergence is quadratic, it bounds the error itself
+VOLUME_TOLERANCE = 1e-14  # squared last step; convergence is linear, fast where ||F - R|| is small
+LANES = 64
+VECTORISE = {"contract", "reassoc", "nsz", "arcp"}  # NaN and infinity keep their meaning
 
 
 @dataclass(frozen=True)
@@ -72,16 +77,6 @@ def paper_energy(gradients: FloatArray, rotations: FloatArray, strain: FloatArra
     """Eqs (11) and (12) as printed: sum strain ||F - R||^2 + volume (det F - 1)^2, for F and R (t, 3, 3)."""
     squared = ((gradients - rotations) ** 2).sum(axis=(1, 2))
     return float(strain @ squared + volume @ (np.linalg.det(gradients) - 1) ** 2)
-
-
-Matrix = tuple[float, float, float, float, float, float, float, float, float]  # 3 x 3 by rows
-
-
-@njit(cache=True)
-def _cofactor(a, b, c, d, e, f, g, h, i):  # type: ignore[no-untyped-def]
-    return (e * i - f * h, f * g - d * i, d * h - e * g,
-            c * h - b * i, a * i - c * g, b * g - a * h,
-            b * f - c * e, c * d - a * f, a * e - b * d)  # fmt: skip
 
 
 @njit(cache=True)
@@ -200,149 +195,174 @@ def unit_product(sigma: FloatArray, d: FloatArray) -> None:
 
 
 @njit(cache=True)
-def _project_by_svd(a, b, c, d, e, f, g, h, i):  # type: ignore[no-untyped-def]
-    matrix = np.array([[a, b, c], [d, e, f], [g, h, i]])
+def _project_by_svd(f, r, d):  # type: ignore[no-untyped-def]
+    """Both projections of one F (9,), written into r and d (9,)."""
     u, v, sigma, s = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
-    signed_svd(matrix, u, sigma, v)
+    signed_svd(f.copy().reshape(3, 3), u, sigma, v)
     unit_product(sigma, s)
-    r, m = np.empty(9), np.empty(9)
     for j in range(3):
         for k in range(3):
             r[3 * j + k] = u[j, 0] * v[k, 0] + u[j, 1] * v[k, 1] + u[j, 2] * v[k, 2]
-            m[3 * j + k] = s[0] * u[j, 0] * v[k, 0] + s[1] * u[j, 1] * v[k, 1] + s[2] * u[j, 2] * v[k, 2]
-    return (
-        (r[0], r[1], r[2], r[3], r[4], r[5], r[6], r[7], r[8]),
-        (m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8]),
-    )
+            d[3 * j + k] = s[0] * u[j, 0] * v[k, 0] + s[1] * u[j, 1] * v[k, 1] + s[2] * u[j, 2] * v[k, 2]
 
 
-@njit(cache=True)
-def _polar(f0, f1, f2, f3, f4, f5, f6, f7, f8):  # type: ignore[no-untyped-def]
-    """Rotation next to F, det F > 0, by Newton's iteration; and the last squared step."""
-    r0, r1, r2, r3, r4, r5, r6, r7, r8 = f0, f1, f2, f3, f4, f5, f6, f7, f8
-    step = 1.0
-    for _ in range(12):
-        c0, c1, c2, c3, c4, c5, c6, c7, c8 = _cofactor(r0, r1, r2, r3, r4, r5, r6, r7, r8)
-        s = 0.5 / (r0 * c0 + r1 * c1 + r2 * c2)
-        c0, c1, c2 = s * c0 - 0.5 * r0, s * c1 - 0.5 * r1, s * c2 - 0.5 * r2
-        c3, c4, c5 = s * c3 - 0.5 * r3, s * c4 - 0.5 * r4, s * c5 - 0.5 * r5
-        c6, c7, c8 = s * c6 - 0.5 * r6, s * c7 - 0.5 * r7, s * c8 - 0.5 * r8
-        r0, r1, r2, r3, r4, r5, r6, r7, r8 = (
-            r0 + c0, r1 + c1, r2 + c2, r3 + c3, r4 + c4, r5 + c5, r6 + c6, r7 + c7, r8 + c8)  # fmt: skip
-        step = c0 * c0 + c1 * c1 + c2 * c2 + c3 * c3 + c4 * c4 + c5 * c5 + c6 * c6 + c7 * c7 + c8 * c8
-        if step < 1e-10:  # quadratic convergence: the error is half of this
-            break
-    return (r0, r1, r2, r3, r4, r5, r6, r7, r8), step
+# In the lane loops a to i name the entries of one 3 x 3 matrix by rows and c0 to c8 those of its cofactor matrix.
 
 
-@njit(cache=True)
-def _squared(p, q):  # type: ignore[no-untyped-def]
-    return (
-        (p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2 + (p[3] - q[3]) ** 2 + (p[4] - q[4]) ** 2
-        + (p[5] - q[5]) ** 2 + (p[6] - q[6]) ** 2 + (p[7] - q[7]) ** 2 + (p[8] - q[8]) ** 2)  # fmt: skip
+@njit(cache=True, error_model="numpy", fastmath=VECTORISE)
+def _determinants(m, det):  # type: ignore[no-untyped-def]
+    for k in range(LANES):
+        a, b, c, d, e, f, g, h, i = m[0, k], m[1, k], m[2, k], m[3, k], m[4, k], m[5, k], m[6, k], m[7, k], m[8, k]
+        det[k] = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
 
 
-@njit(cache=True)
-def _unit_determinant(f, r):  # type: ignore[no-untyped-def]
-    """Matrix of unit determinant next to F by sequential linearisation from the rotation; last squared step."""
-    d = r
-    step = 1.0
-    for _ in range(20):
-        c = _cofactor(d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7], d[8])
-        det = d[0] * c[0] + d[1] * c[1] + d[2] * c[2]
-        along = (
-            c[0] * (f[0] - d[0]) + c[1] * (f[1] - d[1]) + c[2] * (f[2] - d[2]) + c[3] * (f[3] - d[3])
-            + c[4] * (f[4] - d[4]) + c[5] * (f[5] - d[5]) + c[6] * (f[6] - d[6]) + c[7] * (f[7] - d[7])
-            + c[8] * (f[8] - d[8]))  # fmt: skip
-        norm = (
-            c[0] * c[0] + c[1] * c[1] + c[2] * c[2] + c[3] * c[3] + c[4] * c[4] + c[5] * c[5] + c[6] * c[6]
-            + c[7] * c[7] + c[8] * c[8])  # fmt: skip
+@njit(cache=True, error_model="numpy", fastmath=VECTORISE)
+def _newton(r, step):  # type: ignore[no-untyped-def]
+    """R <- (R + R^-T) / 2 (Higham 1986); the squared length of the step."""
+    for k in range(LANES):
+        a, b, c, d, e, f, g, h, i = r[0, k], r[1, k], r[2, k], r[3, k], r[4, k], r[5, k], r[6, k], r[7, k], r[8, k]
+        c0, c1, c2 = e * i - f * h, f * g - d * i, d * h - e * g
+        c3, c4, c5 = c * h - b * i, a * i - c * g, b * g - a * h
+        c6, c7, c8 = b * f - c * e, c * d - a * f, a * e - b * d
+        s = 0.5 / (a * c0 + b * c1 + c * c2)
+        c0, c1, c2 = s * c0 - 0.5 * a, s * c1 - 0.5 * b, s * c2 - 0.5 * c
+        c3, c4, c5 = s * c3 - 0.5 * d, s * c4 - 0.5 * e, s * c5 - 0.5 * f
+        c6, c7, c8 = s * c6 - 0.5 * g, s * c7 - 0.5 * h, s * c8 - 0.5 * i
+        r[0, k], r[1, k], r[2, k] = a + c0, b + c1, c + c2
+        r[3, k], r[4, k], r[5, k] = d + c3, e + c4, f + c5
+        r[6, k], r[7, k], r[8, k] = g + c6, h + c7, i + c8
+        step[k] = c0 * c0 + c1 * c1 + c2 * c2 + c3 * c3 + c4 * c4 + c5 * c5 + c6 * c6 + c7 * c7 + c8 * c8
+
+
+@njit(cache=True, error_model="numpy", fastmath=VECTORISE)
+def _linearise(m, goal, step):  # type: ignore[no-untyped-def]
+    """M <- the matrix closest to the goal with det M + cof M : (M' - M) = 1; the squared length of the step."""
+    for k in range(LANES):
+        a, b, c, d, e, f, g, h, i = m[0, k], m[1, k], m[2, k], m[3, k], m[4, k], m[5, k], m[6, k], m[7, k], m[8, k]
+        c0, c1, c2 = e * i - f * h, f * g - d * i, d * h - e * g
+        c3, c4, c5 = c * h - b * i, a * i - c * g, b * g - a * h
+        c6, c7, c8 = b * f - c * e, c * d - a * f, a * e - b * d
+        det = a * c0 + b * c1 + c * c2
+        a, b, c = goal[0, k] - a, goal[1, k] - b, goal[2, k] - c
+        d, e, f = goal[3, k] - d, goal[4, k] - e, goal[5, k] - f
+        g, h, i = goal[6, k] - g, goal[7, k] - h, goal[8, k] - i
+        along = c0 * a + c1 * b + c2 * c + c3 * d + c4 * e + c5 * f + c6 * g + c7 * h + c8 * i
+        norm = c0 * c0 + c1 * c1 + c2 * c2 + c3 * c3 + c4 * c4 + c5 * c5 + c6 * c6 + c7 * c7 + c8 * c8
         s = (1 - det - along) / norm
-        n = (
-            f[0] + s * c[0], f[1] + s * c[1], f[2] + s * c[2], f[3] + s * c[3], f[4] + s * c[4], f[5] + s * c[5],
-            f[6] + s * c[6], f[7] + s * c[7], f[8] + s * c[8])  # fmt: skip
-        step = _squared(n, d)
-        d = n
-        if step < PROJECTION_TOLERANCE**2:
-            break
-    return d, step
+        a, b, c = a + s * c0, b + s * c1, c + s * c2
+        d, e, f = d + s * c3, e + s * c4, f + s * c5
+        g, h, i = g + s * c6, h + s * c7, i + s * c8
+        m[0, k] += a
+        m[1, k] += b
+        m[2, k] += c
+        m[3, k] += d
+        m[4, k] += e
+        m[5, k] += f
+        m[6, k] += g
+        m[7, k] += h
+        m[8, k] += i
+        step[k] = a * a + b * b + c * c + d * d + e * e + f * f + g * g + h * h + i * i
+
+
+@njit(cache=True, fastmath=VECTORISE)
+def _squared_distance(p, q, squared):  # type: ignore[no-untyped-def]
+    squared[:] = 0.0
+    for j in range(9):
+        for k in range(LANES):
+            squared[k] += (p[j, k] - q[j, k]) ** 2
 
 
 @njit(cache=True)
-def project(f, with_volume):  # type: ignore[no-untyped-def]
-    """Closest rotation and closest matrix of unit determinant of one F, given and returned as 9 numbers by rows."""
-    c = _cofactor(f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8])
-    det = f[0] * c[0] + f[1] * c[1] + f[2] * c[2]
-    if det > 1e-3:
-        r, step = _polar(f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8])
-        if step < 1e-10:
-            if not with_volume:
-                return det, r, f
-            if _squared(f, r) <= NEAR:
-                d, step = _unit_determinant(f, r)
-                if step < PROJECTION_TOLERANCE**2:
-                    return det, r, d
-    r, d = _project_by_svd(f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8])
-    return det, r, d
+def project(f, r, d, det):  # type: ignore[no-untyped-def]
+    """Closest rotations r and closest matrices d of unit determinant of the gradients f, all (9, LANES); and det f."""
+    step, last, far = np.empty(LANES), np.empty(LANES), np.empty(LANES)
+    _determinants(f, det)
+    for j in range(9):
+        for k in range(LANES):
+            r[j, k] = f[j, k] if det[k] > FLAT else (1.0 if j % 4 == 0 else 0.0)
+    for _ in range(9):
+        _newton(r, step)
+        if step.max() < POLAR_TOLERANCE:
+            break
+    _squared_distance(f, r, far)
+    for k in range(LANES):
+        if not (det[k] > FLAT and step[k] < POLAR_TOLERANCE):
+            far[k] = np.inf
+    goal = np.empty((9, LANES))
+    for j in range(9):
+        for k in range(LANES):
+            goal[j, k] = f[j, k] if far[k] <= NEAR else r[j, k]
+            d[j, k] = r[j, k]
+    for _ in range(20):
+        _linearise(d, goal, last)
+        if last.max() < VOLUME_TOLERANCE:
+            break
+    for k in range(LANES):
+        if not (far[k] <= NEAR and last[k] < VOLUME_TOLERANCE):
+            _project_by_svd(f[:, k], r[:, k], d[:, k])
+
+
+@njit(cache=True)
+def _load(x, tets, inverse, first, count, f):  # type: ignore[no-untyped-def]
+    """Deformation gradients of the tets from `first` on; lanes beyond `count` are at rest."""
+    for k in range(count):
+        t = first + k
+        v0, v1, v2, v3 = tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3]
+        for j in range(3):
+            a, b, c = x[v1, j] - x[v0, j], x[v2, j] - x[v0, j], x[v3, j] - x[v0, j]
+            f[3 * j, k] = a * inverse[t, 0] + b * inverse[t, 3] + c * inverse[t, 6]
+            f[3 * j + 1, k] = a * inverse[t, 1] + b * inverse[t, 4] + c * inverse[t, 7]
+            f[3 * j + 2, k] = a * inverse[t, 2] + b * inverse[t, 5] + c * inverse[t, 8]
+    for k in range(count, LANES):
+        for j in range(9):
+            f[j, k] = 1.0 if j % 4 == 0 else 0.0
+
+
+@njit(cache=True)
+def _scatter(tets, inverse, first, count, p, descent):  # type: ignore[no-untyped-def]
+    """Add G^T p to the corners of the tets."""
+    for k in range(count):
+        t = first + k
+        v0, v1, v2, v3 = tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3]
+        for j in range(3):
+            u, v, w = p[3 * j, k], p[3 * j + 1, k], p[3 * j + 2, k]
+            a = u * inverse[t, 0] + v * inverse[t, 1] + w * inverse[t, 2]
+            b = u * inverse[t, 3] + v * inverse[t, 4] + w * inverse[t, 5]
+            c = u * inverse[t, 6] + v * inverse[t, 7] + w * inverse[t, 8]
+            descent[v0, j] -= a + b + c
+            descent[v1, j] += a
+            descent[v2, j] += b
+            descent[v3, j] += c
 
 
 @njit(cache=True, parallel=True)
 def _local_step(x, tets, inverse, weights, bounds, ranges, parts, sums):  # type: ignore[no-untyped-def]
     for chunk in prange(len(bounds) - 1):
-        descent = parts[chunk]
-        descent[ranges[chunk, 0] : ranges[chunk, 1]] = 0.0
-        strain, volume, inverted = 0.0, 0.0, 0
-        for t in range(bounds[chunk], bounds[chunk + 1]):
-            v0, v1, v2, v3 = tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3]
-            x0, y0, z0 = x[v0, 0], x[v0, 1], x[v0, 2]
-            ax, ay, az = x[v1, 0] - x0, x[v1, 1] - y0, x[v1, 2] - z0
-            bx, by, bz = x[v2, 0] - x0, x[v2, 1] - y0, x[v2, 2] - z0
-            cx, cy, cz = x[v3, 0] - x0, x[v3, 1] - y0, x[v3, 2] - z0
-            i0, i1, i2 = inverse[t, 0], inverse[t, 1], inverse[t, 2]
-            i3, i4, i5 = inverse[t, 3], inverse[t, 4], inverse[t, 5]
-            i6, i7, i8 = inverse[t, 6], inverse[t, 7], inverse[t, 8]
-            f = (
-                ax * i0 + bx * i3 + cx * i6, ax * i1 + bx * i4 + cx * i7, ax * i2 + bx * i5 + cx * i8,
-                ay * i0 + by * i3 + cy * i6, ay * i1 + by * i4 + cy * i7, ay * i2 + by * i5 + cy * i8,
-                az * i0 + bz * i3 + cz * i6, az * i1 + bz * i4 + cz * i7, az * i2 + bz * i5 + cz * i8)  # fmt: skip
-            w, q = weights[t, 0], weights[t, 1]
-            det, r, d = project(f, q > 0)
-            inverted += not det > 0
-            strain += w * _squared(f, r)  # eq. (11), first term
-            volume += q * _squared(f, d)  # eqs (11), (12): distance form of the volume term
-            p0, p1, p2 = (
-                w * (r[0] - f[0]) + q * (d[0] - f[0]),
-                w * (r[1] - f[1]) + q * (d[1] - f[1]),
-                w * (r[2] - f[2]) + q * (d[2] - f[2]),
-            )
-            p3, p4, p5 = (
-                w * (r[3] - f[3]) + q * (d[3] - f[3]),
-                w * (r[4] - f[4]) + q * (d[4] - f[4]),
-                w * (r[5] - f[5]) + q * (d[5] - f[5]),
-            )
-            p6, p7, p8 = (
-                w * (r[6] - f[6]) + q * (d[6] - f[6]),
-                w * (r[7] - f[7]) + q * (d[7] - f[7]),
-                w * (r[8] - f[8]) + q * (d[8] - f[8]),
-            )
-            ax, ay, az = p0 * i0 + p1 * i1 + p2 * i2, p3 * i0 + p4 * i1 + p5 * i2, p6 * i0 + p7 * i1 + p8 * i2
-            bx, by, bz = p0 * i3 + p1 * i4 + p2 * i5, p3 * i3 + p4 * i4 + p5 * i5, p6 * i3 + p7 * i4 + p8 * i5
-            cx, cy, cz = p0 * i6 + p1 * i7 + p2 * i8, p3 * i6 + p4 * i7 + p5 * i8, p6 * i6 + p7 * i7 + p8 * i8
-            descent[v0, 0] -= ax + bx + cx
-            descent[v0, 1] -= ay + by + cy
-            descent[v0, 2] -= az + bz + cz
-            descent[v1, 0] += ax
-            descent[v1, 1] += ay
-            descent[v1, 2] += az
-            descent[v2, 0] += bx
-            descent[v2, 1] += by
-            descent[v2, 2] += bz
-            descent[v3, 0] += cx
-            descent[v3, 1] += cy
-            descent[v3, 2] += cz
-        sums[chunk, 0] = strain
-        sums[chunk, 1] = volume
-        sums[chunk, 2] = inverted
+        _chunk(x, tets, inverse, weights, bounds[chunk], bounds[chunk + 1], ranges[chunk], parts[chunk], sums[chunk])
+
+
+@njit(cache=True)
+def _chunk(x, tets, inverse, weights, begin, end, touched, descent, sums):  # type: ignore[no-untyped-def]
+    descent[touched[0] : touched[1]] = 0.0
+    f, r, d = np.empty((9, LANES)), np.empty((9, LANES)), np.empty((9, LANES))
+    det, strain, volume = np.empty(LANES), np.empty(LANES), np.empty(LANES)
+    total_strain, total_volume, inverted = 0.0, 0.0, 0
+    for first in range(begin, end, LANES):
+        count = min(LANES, end - first)
+        _load(x, tets, inverse, first, count, f)
+        project(f, r, d, det)
+        _squared_distance(f, r, strain)
+        _squared_distance(f, d, volume)
+        for k in range(count):
+            total_strain += weights[first + k, 0] * strain[k]  # eq. (11), first term
+            total_volume += weights[first + k, 1] * volume[k]  # eqs (11), (12): distance form of the volume term
+            inverted += not det[k] > 0
+        for j in range(9):
+            for k in range(count):
+                w, q = weights[first + k, 0], weights[first + k, 1]
+                r[j, k] = w * (r[j, k] - f[j, k]) + q * (d[j, k] - f[j, k])
+        _scatter(tets, inverse, first, count, r, descent)
+    sums[0], sums[1], sums[2] = total_strain, total_volume, inverted
 
 
 @njit(cache=True, parallel=True)

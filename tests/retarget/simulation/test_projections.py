@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 
 from retarget.simulation import local_step
 from retarget.simulation.projections import (
@@ -41,6 +40,17 @@ def test_signed_svd():
     np.testing.assert_allclose(np.linalg.det(vt), 1)
     assert (sigma[:, 0] >= sigma[:, 1]).all()
     assert (sigma[:, 1] >= np.abs(sigma[:, 2])).all()
+
+
+def project(f):
+    """The kernel over batches of LANES matrices; determinants (t,), rotations and unit determinants (t, 3, 3)."""
+    lanes = local_step.LANES
+    padded = np.concatenate([f, np.broadcast_to(np.eye(3), (-len(f) % lanes, 3, 3))]).reshape(-1, lanes, 9)
+    r, d, det = np.empty((len(padded), 9, lanes)), np.empty((len(padded), 9, lanes)), np.empty((len(padded), lanes))
+    for i, tile in enumerate(padded):
+        local_step.project(np.ascontiguousarray(tile.T), r[i], d[i], det[i])
+    r, d = (np.swapaxes(m, 1, 2).reshape(-1, 3, 3)[: len(f)] for m in (r, d))
+    return det.ravel()[: len(f)], r, d
 
 
 def test_no_sampled_rotation_is_closer():
@@ -91,17 +101,15 @@ def test_kernels_agree_with_the_reference():
     rotation, unit = closest_rotation(f), closest_unit_determinant(f)
     _, sigma, _ = signed_svd(f)
     unique = sigma[:, 1] + sigma[:, 2] > 1e-3
-    for i, matrix in enumerate(f):
-        det, r, d = local_step.project(tuple(matrix.ravel()), True)
-        assert det == pytest.approx(np.linalg.det(matrix), rel=1e-9, abs=1e-12)
-        d = np.reshape(d, (3, 3))
-        assert np.linalg.det(d) == pytest.approx(1, abs=1e-8)
-        assert squared(matrix, d) == pytest.approx(squared(matrix, unit[i]), rel=1e-9, abs=1e-12)
-        assert squared(matrix, np.reshape(r, (3, 3))) == pytest.approx(
-            squared(matrix, rotation[i]), rel=1e-9, abs=1e-12
-        )
-        if unique[i]:
-            np.testing.assert_allclose(np.reshape(r, (3, 3)), rotation[i], atol=1e-7)
+    det, r, d = project(f)
+    np.testing.assert_allclose(det, np.linalg.det(f), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(d), 1, atol=1e-8)
+    np.testing.assert_allclose(squared(f, d), squared(f, unit), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(squared(f, r), squared(f, rotation), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(r[unique], rotation[unique], atol=1e-7)
+
+
+def test_the_svd_of_the_kernels():
     for matrix in gradients():
         u, sigma, v = np.empty((3, 3)), np.empty(3), np.empty((3, 3))
         local_step.signed_svd(matrix, u, sigma, v)
