@@ -144,7 +144,7 @@ class ProjectiveDynamics:
     def _evaluate(self, x: FloatArray, targets: FloatArray) -> tuple[float, FloatArray, LocalStep]:
         local = self._tissue(x)
         miss = targets - self._embed @ x
-        energy = local.energy + float(self._pull @ (miss**2).sum(axis=1))  # eq. (14)
+        energy = local.energy + float(np.einsum("k,kc,kc", self._pull, miss, miss))  # eq. (14)
         return energy, local.descent + self._embed.T @ (self._pull[:, None] * miss), local  # eq. (13)
 
     def solve(
@@ -250,7 +250,7 @@ class Anderson:
         self._last = state, residual
         if not self._residuals:
             return residual
-        right = np.array([np.vdot(r, residual) for r in self._residuals])
+        right = np.array([_dot(r, residual) for r in self._residuals])
         ridge = 1e-12 * np.trace(self._products) * np.eye(len(right))
         try:
             weights = np.linalg.solve(self._products + ridge, right)
@@ -268,5 +268,10 @@ class Anderson:
         products = np.empty((m, m))
         if m > 1:
             products[:-1, :-1] = kept
-        products[-1] = products[:, -1] = [np.vdot(self._residuals[-1], r) for r in self._residuals]
+        products[-1] = products[:, -1] = [_dot(self._residuals[-1], r) for r in self._residuals]
         self._products = products
+
+
+def _dot(a: FloatArray, b: FloatArray) -> float:
+    """Inner product without BLAS, whose waiting threads would hold up those of the local step."""
+    return float(np.einsum("vc,vc", a, b))

@@ -243,7 +243,7 @@ def test_anderson_solves_a_linear_fixed_point_of_dimension_m_in_m_plus_one_steps
     rng = np.random.default_rng(0)
     basis = np.linalg.qr(rng.normal(size=(4, 4)))[0]
     matrix = basis * [0.9, 0.5, -0.3, 0.1] @ basis.T
-    accelerate, x = Anderson(5), rng.normal(size=4)
+    accelerate, x = Anderson(5), rng.normal(size=(4, 1))
     for _ in range(6):
         x = x + accelerate(x, matrix @ x + 1 - x)
-    np.testing.assert_allclose(x, np.linalg.solve(np.eye(4) - matrix, np.ones(4)), atol=1e-5)
+    np.testing.assert_allclose(x, np.linalg.solve(np.eye(4) - matrix, np.ones((4, 1))), atol=1e-5)
