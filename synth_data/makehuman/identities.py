@@ -43,8 +43,9 @@ GROWTH = {"man": 1.0, "woman": 1.03}  # MakeHuman's women are small for the publ
 SIZE, SIZE_DEVIATION = 0.07, 0.4  # growth of the whole head at coefficient 1, and the coefficient's deviation
 LARGEST = 1.0  # of a local coefficient: where MakeHuman's own sliders end
 WIDTHS_CORRELATE = 0.4  # large heads are large in every width; the source gives no correlations
-LARGEST_STRAIN = 5.0  # standard deviations that conditioning may move a draw; a head that needs more is drawn again,
-ATTEMPTS = 30  # because widths that the targets can reach only together give caricatures
+# Widths that the targets can reach together only by distorting the face give caricatures, so such draws are repeated.
+LARGEST_STRAIN = 5.0  # standard deviations that conditioning may move a draw; one that needs more is drawn again
+ATTEMPTS = 30  # draws of an identity before its seed is refused
 SIDES_CORRELATE = 0.96  # between a target and its mirror image
 
 
