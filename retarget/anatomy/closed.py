@@ -1,0 +1,127 @@
+"""Closed surfaces: the neck's cap, and the checks that meshing needs."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from retarget.check import InvalidInput
+from retarget.types import FloatArray, IntArray
+
+_PAIRS = 2_000_000  # candidate pairs tested at once, bounds the memory
+
+
+def cap(name: str, vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
+    """Close each boundary loop of (n, 3), (f, 3) by a fan about its mean, which becomes a new vertex at the end.
+
+    Raises InvalidInput for an edge of three triangles, or for loops that touch.
+    """
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    keys, uses = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
+    if uses.max() > 2:
+        a, b = keys[np.argmax(uses)]
+        raise InvalidInput(
+            f"{name}: expected at most two triangles at an edge, got {uses.max()} at vertices {a} and {b}; "
+            "remove what does not belong to the skin."
+        )
+    directed = {(int(a), int(b)) for a, b in edges}
+    if len(directed) < len(edges):
+        raise InvalidInput(f"{name}: expected triangles of one orientation, got neighbours that disagree; orient them.")
+    following: dict[int, int] = {}
+    for a, b in sorted(directed):
+        if (b, a) not in directed:
+            if b in following:
+                raise InvalidInput(
+                    f"{name}: expected separate boundary loops, got two that meet at vertex {b}; close one."
+                )
+            following[b] = a
+    while following:
+        first, second = next(iter(following.items()))
+        loop = [first]
+        del following[first]
+        while second != first:
+            loop.append(second)
+            second = following.pop(second)
+        centre = len(vertices)
+        vertices = np.vstack([vertices, vertices[loop].mean(axis=0)])
+        fan = np.column_stack([loop, np.roll(loop, -1), np.full(len(loop), centre)])
+        faces = np.vstack([faces, fan])
+    return vertices, faces
+
+
+def euler_number(faces: IntArray) -> int:
+    """V - E + F over the vertices in use; 2 for a sphere."""
+    edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1), axis=0)
+    return len(np.unique(faces)) - len(edges) + len(faces)
+
+
+def check_closed(name: str, vertices: FloatArray, faces: IntArray) -> None:
+    """Raises InvalidInput unless the surface is closed, like a sphere (Euler number 2), outward and free of
+    self-intersections."""
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    _, uses = np.unique(edges, axis=0, return_counts=True)
+    if (uses != 2).any():
+        raise InvalidInput(
+            f"{name}: expected a closed surface, got {int((uses != 2).sum())} edges without two triangles; close the "
+            "holes (the neck is closed by itself, other openings are not)."
+        )
+    number = euler_number(faces)
+    if number != 2:
+        raise InvalidInput(
+            f"{name}: expected Euler number 2, one closed piece without handles, got {number}; remove eyes, teeth and "
+            "other separate pieces, and fill tunnels."
+        )
+    if np.einsum("ij,ij->", vertices[faces[:, 0]], np.cross(vertices[faces[:, 1]], vertices[faces[:, 2]])) <= 0:
+        raise InvalidInput(f"{name}: expected triangles that face outward, got inward ones; reverse their order.")
+    pairs = self_intersections(vertices, faces)
+    if len(pairs):
+        raise InvalidInput(
+            f"{name}: expected a surface without self-intersections, got {len(pairs)} pairs of crossing triangles, the "
+            f"first {pairs[0].tolist()} near {np.round(vertices[faces[pairs[0, 0]]].mean(axis=0), 1).tolist()} mm; "
+            "open lips and lids in the pose, or repair the mesh there."
+        )
+
+
+def self_intersections(vertices: FloatArray, faces: IntArray) -> IntArray:
+    """(p, 2) pairs of triangles, an edge of one of which passes through the other; neighbours are left out."""
+    edges, owner = np.unique(
+        np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1),
+        axis=0,
+        return_index=True,
+    )
+    owner = owner % len(faces)
+    middle, half = vertices[edges].mean(axis=1), 0.5 * np.linalg.norm(np.diff(vertices[edges], axis=1)[:, 0], axis=1)
+    centre = vertices[faces].mean(axis=1)
+    radius = np.linalg.norm(vertices[faces] - centre[:, None], axis=2).max(axis=1)
+    found = []
+    octave = np.floor(np.log2(np.maximum(radius, 1e-6))).astype(int)
+    for size in np.unique(octave):  # triangles of one size at a time: a large one has no reach among small ones
+        group = np.flatnonzero(octave == size)
+        near = cKDTree(centre[group]).query_ball_point(middle, half + radius[group].max())
+        count = np.array([len(candidates) for candidates in near])
+        ends = np.cumsum(count)
+        start = 0
+        while start < len(edges):
+            stop = max(int(np.searchsorted(ends, (ends[start - 1] if start else 0) + _PAIRS)), start + 1)
+            edge = np.repeat(np.arange(start, stop), count[start:stop])
+            triangle = group[np.concatenate([np.array(c, dtype=np.int64) for c in near[start:stop]])]
+            hit = _crosses(vertices, edges[edge], faces[triangle])
+            found.append(np.column_stack([owner[edge[hit]], triangle[hit]]))
+            start = stop
+    return np.unique(np.concatenate(found), axis=0)
+
+
+def _crosses(vertices: FloatArray, edges: IntArray, faces: IntArray) -> IntArray:
+    """Rows at which the segment edges (p, 2) passes through the triangle faces (p, 3) without sharing a vertex."""
+    apart = np.flatnonzero((edges[:, :, None] != faces[:, None, :]).all(axis=(1, 2)))
+    p, q = vertices[edges[apart, 0]], vertices[edges[apart, 1]]
+    a, b, c = (vertices[faces[apart, i]] for i in range(3))
+
+    def volume(u: FloatArray, v: FloatArray, w: FloatArray, x: FloatArray) -> FloatArray:
+        signed: FloatArray = np.einsum("ij,ij->i", u - x, np.cross(v - x, w - x))
+        return signed
+
+    through = volume(a, b, c, p) * volume(a, b, c, q) < 0
+    side = np.stack([volume(p, q, a, b), volume(p, q, b, c), volume(p, q, c, a)])
+    inside = (side > 0).all(axis=0) | (side < 0).all(axis=0)
+    return apart[through & inside]
