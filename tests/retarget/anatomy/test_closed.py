@@ -25,6 +25,7 @@ def test_a_hole_is_closed_by_a_fan_that_faces_outward(sphere: tuple[FloatArray, 
     assert euler_number(closed) == 2
     check_closed("ball", capped, closed)
     assert np.array_equal(capped[:-1], vertices)
+    assert trimesh.Trimesh(capped, closed, process=False).is_winding_consistent
 
 
 def test_a_closed_surface_is_not_capped(sphere: tuple[FloatArray, IntArray]) -> None:

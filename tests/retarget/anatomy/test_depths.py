@@ -72,7 +72,7 @@ def test_the_field_is_smooth_and_hardly_leaves_the_range_of_its_landmarks() -> N
     slope = np.abs(field[edges[:, 0]] - field[edges[:, 1]]) / np.linalg.norm(
         vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1
     )
-    assert slope.max() < 0.5  # mm per mm: a pure membrane would have spikes at its landmarks
+    assert slope.max() < 0.2  # mm per mm: a pure membrane has spikes at its landmarks, 0.48 here
 
 
 def test_a_piece_without_a_landmark_is_refused() -> None:
