@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 import trimesh
 
 from retarget.types import FloatArray, IntArray, Regions
-from synth_data.arkit import SKIN_NAMES
+from synth_data.arkit import MIRRORED, SKIN_NAMES
 from synth_data.makehuman.anthropometry import personalisation
 from synth_data.makehuman.head import BaseHead
 from synth_data.makehuman.identities import Identity
 from synth_data.makehuman.lids import OVERLAP, close_lids
-from synth_data.makehuman.rig import local_similarity, personal_rig
+from synth_data.makehuman.rig import (
+    ASYMMETRY,
+    FIELD_DEVIATION,
+    FLIP,
+    GAIN_DEVIATION,
+    LOPSIDED,
+    SHARED,
+    _Person,
+    local_similarity,
+    personal_rig,
+)
+from synth_data.makehuman.subdivide import subdivide
 from synth_data.makehuman.targets import Targets
 
 Base = tuple[BaseHead, Targets, Regions]
@@ -72,17 +84,21 @@ def test_same_seed_same_bits(base: Base, people: People) -> None:
     np.testing.assert_array_equal(personal_rig(identity, *base), rig)
 
 
+@pytest.mark.parametrize("steps", [0, 1], ids=["base", "subdivided"])
 @pytest.mark.parametrize("side", ["left", "right"])
-def test_each_blink_closes_each_lid_margin(base: Base, people: People, side: str) -> None:
-    regions = base[2]
+def test_each_blink_closes_each_lid_margin(base: Base, people: People, side: str, steps: int) -> None:
+    head, _, coarse = base
+    fine = subdivide(head.faces, len(head.vertices), steps)
+    regions = fine.regions(coarse)
     loop = regions.loops[f"lid_margin_{side}"]
     upper = np.isin(loop, regions.vertices[f"lid_margin_upper_{side}"])
     for identity, rig in people:
-        shut = identity.vertices + rig[UNIT[f"eyeBlink{side.title()}"]]
+        neutral = fine(identity.vertices)
+        shut = neutral + fine(rig[UNIT[f"eyeBlink{side.title()}"]])
         rest = shut[loop[~upper]]
         rest = rest[np.argsort(rest[:, 0])]
         above = shut[loop[upper], 1] - np.interp(shut[loop[upper], 0], rest[:, 0], rest[:, 1])
-        opening = identity.vertices[loop[upper], 1].max() - identity.vertices[loop[~upper], 1].min()
+        opening = neutral[loop[upper], 1].max() - neutral[loop[~upper], 1].min()
         assert opening > 5
         assert above.max() < 0.35  # mm: no gap ...
         assert above.min() > -OVERLAP - 0.35  # ... and no lid that passes far beyond the other
@@ -121,3 +137,47 @@ def test_local_similarity_recovers_a_similarity(base: Base) -> None:
     rotation = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
     found = local_similarity(v, 1.1 * v @ rotation.T + (5, -3, 2))
     np.testing.assert_allclose(found, np.broadcast_to(1.1 * rotation, found.shape), atol=1e-6)
+
+
+def test_a_turned_and_scaled_copy_of_a_head_has_turned_and_scaled_units(base: Base) -> None:
+    v = base[0].vertices
+    angle = 0.3
+    similarity = 1.2 * np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+    rig, copy = (personal_rig(Identity(3, "woman", 40.0, head), *base) for head in (v, v @ similarity.T + (5, -3, 2)))
+    exact = [i for name, i in UNIT.items() if not name.startswith("eyeBlink")]  # a blink meets an overlap in mm
+    np.testing.assert_allclose(copy[exact], rig[exact] @ similarity.T, atol=1e-4)
+
+
+def test_gains_and_their_sides_vary_as_stated(base: Base) -> None:
+    lefts = [name for name in SKIN_NAMES if name < MIRRORED[name]]
+    people = [_Person(seed, base[0]) for seed in range(50)]
+    left, right = (
+        np.log([[person.gain(name) for name in names] for person in people])
+        for names in (lefts, [MIRRORED[name] for name in lefts])
+    )
+    assert (left - right).std() == pytest.approx(ASYMMETRY, rel=0.15)
+    assert ((left + right) / 2).std() == pytest.approx(GAIN_DEVIATION, rel=0.15)
+    assert min(ASYMMETRY, GAIN_DEVIATION) >= 0.05
+
+
+def correlation(fields: Sequence[FloatArray], others: Sequence[FloatArray]) -> float:
+    """Of fields with mean zero, over all entries of all people."""
+    a, b = np.ravel(fields), np.ravel(others)
+    return float(a @ b / np.sqrt((a @ a) * (b @ b)))
+
+
+def test_tensor_fields_are_mirrored_shared_and_lopsided_as_stated(base: Base) -> None:
+    head = base[0]
+    fields = {
+        name: [_Person(seed, head).field(name) for seed in range(12)]
+        for name in ("mouthSmileLeft", "mouthSmileRight", "jawOpen", "browDownLeft")
+    }
+    mirrored = {name: [m[head.mirror] * np.outer(FLIP, FLIP) for m in of_unit] for name, of_unit in fields.items()}
+    even = 1 - LOPSIDED
+    assert correlation(fields["mouthSmileLeft"], mirrored["mouthSmileRight"]) == pytest.approx(even, abs=0.04)
+    assert correlation(fields["jawOpen"], mirrored["jawOpen"]) == pytest.approx(even, abs=0.04)
+    for name in ("jawOpen", "browDownLeft"):
+        assert correlation(fields["mouthSmileLeft"], fields[name]) == pytest.approx(SHARED * even, abs=0.12)
+    assert np.std(list(fields.values())) == pytest.approx(FIELD_DEVIATION, rel=0.1)
+    assert 0.05 < LOPSIDED < 0.2  # hence no exact mirror images ...
+    assert 0.3 < SHARED < 0.5  # ... and neither one field for all units nor unrelated ones
