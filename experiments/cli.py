@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
+from typing import NoReturn
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.errors import InstantiationException
 from hydra.types import RunMode
 from omegaconf import DictConfig
 from rich.console import Console
 
 from experiments.overrides import check_overrides
+from experiments.progress import print_path
 from retarget.check import InvalidInput
 from retarget.suggest import choose
 
@@ -41,7 +45,7 @@ def main() -> None:
 def _dispatch() -> None:
     command = choose("command", sys.argv.pop(1), COMMANDS)
     sys.argv[0] = f"python -m experiments {command}"
-    check_overrides(command, sys.argv[1:])
+    sys.argv += check_overrides(command, sys.argv[1:])
     COMMANDS[command]()
 
 
@@ -53,8 +57,9 @@ def with_readable_errors(function: Callable[..., None]) -> Callable[..., None]:
         try:
             function(*arguments)
         except InvalidInput as error:
-            Console(stderr=True).print(f"error: {error}", style="red", markup=False, highlight=False, soft_wrap=True)
-            sys.exit(1)
+            _exit_with(str(error))
+        except InstantiationException as error:
+            _exit_with(str(error.__cause__) if isinstance(error.__cause__, InvalidInput) else _setting(error))
         except KeyboardInterrupt:
             Console(stderr=True).print("interrupted; the same command continues where this one stopped")
             sys.exit(130)
@@ -62,11 +67,23 @@ def with_readable_errors(function: Callable[..., None]) -> Callable[..., None]:
     return guarded
 
 
+def _exit_with(message: str) -> NoReturn:
+    Console(stderr=True).print(f"error: {message}", style="red", markup=False, highlight=False, soft_wrap=True)
+    sys.exit(1)
+
+
+def _setting(error: InstantiationException) -> str:
+    """Hydra's message says which node of the configuration; its cause says why it cannot be made."""
+    where = re.search(r"full_key: (\S+)", str(error))
+    return f"{where[1] if where else 'configuration'}: cannot be made from its settings: {error.__cause__}"
+
+
 def results_folder(config: DictConfig) -> Path:
-    """<results>/<study>, and below it a folder of its own for each job of a sweep."""
-    folder = Path(config.paths.results).absolute() / config.study.name
+    """<results>/<study>, or for each job of a sweep a folder of its own in <results>/<study>/sweep."""
     job = HydraConfig.get()
-    return folder / job.sweep.subdir if job.mode == RunMode.MULTIRUN else folder
+    if job.mode == RunMode.MULTIRUN:
+        return Path(job.sweep.dir).absolute() / job.sweep.subdir
+    return Path(config.paths.results).absolute() / config.study.name
 
 
 @hydra.main(config_name="run", **HYDRA_MAIN)
@@ -83,9 +100,9 @@ def report(config: DictConfig) -> None:
     from reports.report import build_report
 
     console = Console()
-    inputs = [Path(folder).absolute() for folder in config.inputs or [f"{config.paths.results}/{config.study}"]]
+    inputs = [Path(folder).absolute() for folder in config.inputs or [f"{config.paths.results}/{config.study.name}"]]
     output = Path(config.output).absolute() if config.output else None
-    console.print(f"{build_report(inputs, output, console.print)}", soft_wrap=True)
+    print_path(build_report(inputs, output, console.print), console)
 
 
 @hydra.main(config_name="gate", **HYDRA_MAIN)
@@ -93,7 +110,7 @@ def report(config: DictConfig) -> None:
 def gate(config: DictConfig) -> None:
     from experiments.gate import gate as check
 
-    folder = Path(config.paths.results).absolute() / config.study
+    folder = Path(config.paths.results).absolute() / config.study.name
     if not check(folder, config, Console()):
         sys.exit(1)
 

@@ -17,10 +17,12 @@ import pyarrow as pa
 from experiments.correspondence import Known, correspondence
 from experiments.metrics.metric import Comparison, Measurement, Metric
 from experiments.protocol import Draw, draw
-from experiments.record import FRAMES, METRIC_COLUMNS, SCHEMA, Record, write_record, write_whole
+from experiments.record import FRAMES, SCHEMA, Record, write_record
 from experiments.references import REFERENCES, PreparedReference
 from experiments.study import Row, Study
+from reports.cells import METRIC_COLUMNS
 from retarget.check import InvalidInput
+from retarget.io.files import write_whole
 from retarget.types import (
     FloatArray,
     Pair,

@@ -10,12 +10,14 @@ from typing import Any
 import pandas as pd
 import yaml
 from omegaconf import DictConfig
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
 from experiments.catalogue import CONF
-from experiments.record import write_whole
+from experiments.progress import print_path
 from retarget.check import InvalidInput
+from retarget.io.files import write_whole
 
 GATES = CONF.parent / "gates"
 SIGNED_TOLERANCE_MM = 0.01  # a constant offset hardly moves a mean distance, so the signed error is held tightly
@@ -55,11 +57,12 @@ class Verdict:
 def gate(folder: Path, config: DictConfig, console: Console) -> bool:
     """Print the table of gates; True if all hold. Raises InvalidInput where there is nothing to compare."""
     metrics = _metrics(folder)
-    path = Path(config.gates).absolute() if config.gates else GATES / f"{config.study}.yaml"
+    path = Path(config.gates).absolute() if config.gates else GATES / f"{config.study.name}.yaml"
     if config.propose:
-        proposal = propose(metrics, origin=f"study={config.study}")
+        proposal = propose(metrics, origin=f"study={config.study.name}")
         write_gates(Path(config.propose).absolute(), proposal)
-        console.print(f"{len(proposal)} gates proposed in {config.propose}; review them before they replace {path}.")
+        console.print(f"{len(proposal)} gates proposed; review them before they replace {path.name}:")
+        print_path(Path(config.propose).absolute(), console)
         return True
     verdicts = compare(metrics, read_gates(path))
     _print(verdicts, console)
@@ -148,19 +151,22 @@ def _means(metrics: pd.DataFrame) -> dict[tuple[Any, ...], float | None]:
 
 
 def _print(verdicts: list[Verdict], console: Console) -> None:
-    table = Table(title="Accuracy gates", title_justify="left")
-    for name in ("method", "examples", "metric", "region"):
-        table.add_column(name)
-    for name in ("expected", "tolerance", "measured", ""):
-        table.add_column(name, justify="right")
+    table = Table(
+        title="Accuracy gates", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False
+    )
+    table.add_column("method", no_wrap=True)
+    table.add_column("ex.", justify="right", no_wrap=True)
+    table.add_column("measure", no_wrap=True)
+    for name in ("expected", "measured", ""):
+        table.add_column(name, justify="right", no_wrap=True)
     listed = [v for v in verdicts if not v.passed or not v.gate.metric.startswith("signed_error")]
     for verdict in sorted(listed, key=lambda verdict: verdict.passed):
         entry = verdict.gate
         measured = "missing" if verdict.measured is None else f"{verdict.measured:.4f}"
         mark = "[green]ok[/green]" if verdict.passed else "[bold red]FAIL[/bold red]"
         table.add_row(
-            entry.method, str(entry.n_examples), entry.metric, entry.region,
-            f"{entry.value:.4f}", f"±{entry.tolerance:.4f} {entry.unit}", measured, mark,
+            entry.method, str(entry.n_examples), f"{entry.metric} {entry.region}",
+            f"{entry.value:.4f}±{entry.tolerance:.4f}", measured, mark,
         )  # fmt: skip
     console.print(table)
     failed = sum(not verdict.passed for verdict in verdicts)

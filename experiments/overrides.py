@@ -14,27 +14,30 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig
 
 from experiments.catalogue import GROUPS, options
-from experiments.record import check_folder
 from retarget.check import InvalidInput
+from retarget.io.files import check_folder
 from retarget.suggest import choose, nearest
 
+CHOICES = {"run": GROUPS, "report": ("study", "scale"), "gate": ("study", "scale"), "list": ()}
 _HYDRA_GROUPS = ("hydra", "paths")
 
 
-def check_overrides(config_name: str, arguments: Sequence[str]) -> None:
-    """Raises InvalidInput for an unknown option of a group, or a key that the chosen options do not have.
+def check_overrides(config_name: str, arguments: Sequence[str]) -> list[str]:
+    """What Hydra must be told besides `arguments`: the name of a sweep's folders is made of the swept keys alone.
 
-    Also for a sweep into a folder that cannot be written, because Hydra makes that folder before any code of ours runs.
+    Raises InvalidInput for an unknown option of a group, or a key that the chosen options do not have, and for a
+    sweep into a folder that cannot be written, because Hydra makes that folder before any code of ours runs.
     """
     parsed = get_args_parser().parse_args(list(arguments))
     try:
         overrides = OverridesParser.create().parse_overrides(parsed.overrides)
     except HydraException as error:
-        raise InvalidInput(f"cannot read the command line: {error}") from error
-    if parsed.multirun:
-        folders = [str(override.value()) for override in overrides if override.key_or_group == "paths.results"]
-        check_folder(Path(folders[-1] if folders else "results"))
-    choices = [override for override in overrides if override.key_or_group in GROUPS]
+        raise InvalidInput(
+            f"cannot read the command line: {error} Settings are written KEY=VALUE; quote a value that holds "
+            "brackets, commas or '=', for example 'inputs=[\"results/a=1\"]'."
+        ) from error
+    groups = CHOICES[config_name]
+    choices = [override for override in overrides if override.key_or_group in groups]
     for override in choices:
         for name in _chosen(override):
             choose(override.key_or_group, name, options(override.key_or_group))
@@ -42,11 +45,17 @@ def check_overrides(config_name: str, arguments: Sequence[str]) -> None:
     for override in overrides:
         key = override.key_or_group
         plain = not (override.is_add() or override.is_force_add() or override.is_delete())
-        if plain and key not in GROUPS and key.split(".")[0].split("/")[0] not in _HYDRA_GROUPS and key not in keys:
+        if plain and key not in groups and key.split(".")[0].split("/")[0] not in _HYDRA_GROUPS and key not in keys:
             raise InvalidInput(
-                f"'{key}' is no setting of this command.{nearest(key, [*keys, *GROUPS])} "
+                f"'{key}' is no setting of this command.{nearest(key, [*keys, *groups])} "
                 f"`python -m experiments {config_name} --cfg job` prints all settings."
             )
+    if not parsed.multirun:
+        return []
+    folders = [str(override.value()) for override in overrides if override.key_or_group == "paths.results"]
+    check_folder(Path(folders[-1] if folders else "results"))
+    fixed = [override.key_or_group for override in overrides if not override.is_sweep_override()]
+    return [f"hydra.job.config.override_dirname.exclude_keys=[{','.join(fixed)}]"]
 
 
 def _chosen(override: Override) -> Iterator[str]:

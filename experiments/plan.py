@@ -8,8 +8,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from experiments.evaluate import Cell, PairTask
-from experiments.metrics.metric import Metric
+from experiments.metrics.metric import Comparison, Metric
 from experiments.protocol import check_counts
 from experiments.record import SCHEMA, digest, read_header
 from experiments.study import Row, Study
@@ -53,10 +55,9 @@ def plan(
     """Expand a study; `metrics` holds each metric with its settings. Raises InvalidInput if it cannot be run."""
     check_dataset(dataset)
     check_counts(len(dataset.expressions), study.test_expressions, study.n_examples)
-    if not methods:
-        raise InvalidInput("method: expected at least one, got none; choose with 'method=[plbs,delta]'.")
+    study.check_rows([row.name for row in methods])
+    check_metrics(study, dataset, {name: metric for name, (metric, _) in metrics.items()})
     rows = (*methods, *(Row(name, {"reference": name}) for name in study.references))
-    choose("study.reference", study.reference, [row.name for row in methods])
     pairs = list(itertools.permutations(dataset.identities, 2))
     protocol = {
         "schema": SCHEMA,
@@ -98,3 +99,26 @@ def check_dataset(dataset: Dataset) -> None:
         neutral = check_vertices(f"{identity}, neutral", dataset.neutral(identity), count)
         check_triangle_areas(f"{identity}, neutral", neutral, faces)
         check_frames(f"{identity}, expressions", dataset.frames(identity, everything), count)
+
+
+def check_metrics(study: Study, dataset: Dataset, metrics: Mapping[str, Metric]) -> None:
+    """Measure a neutral once: a metric that cannot serve this data is found before anything is computed.
+
+    Raises InvalidInput for such a metric, and where none measures what the study tests.
+    """
+    neutral = dataset.neutral(dataset.identities[0])
+    still = neutral[None]
+    comparison = Comparison(still, still, still, neutral, neutral, dataset.faces, dataset.regions)
+    measured: dict[str, list[str]] = {}
+    for name, metric in metrics.items():
+        try:
+            for measurement in metric(comparison):
+                if np.shape(measurement.values) != (1,):
+                    raise ValueError(f"expected one value for each frame, got shape {np.shape(measurement.values)}")
+                measured.setdefault(measurement.metric, []).append(measurement.region)
+        except InvalidInput:
+            raise
+        except Exception as error:
+            raise InvalidInput(f"metric '{name}' fails on this dataset: {type(error).__name__}: {error}.") from error
+    choose("study.primary_metric", study.primary_metric, measured)
+    choose("study.primary_region", study.primary_region, measured[study.primary_metric])

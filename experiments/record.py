@@ -6,11 +6,9 @@ cell is reused only if its id, the code version and the data fingerprint match.
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
-import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,16 +18,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from retarget.check import InvalidInput
+from retarget.io.files import write_whole
 
 SCHEMA = 1
 RECORD = "record.parquet"
 FRAMES = "frames.npz"
 _HEADER = b"experiments.record"
-
-METRIC_COLUMNS = (
-    "method", "source", "target", "n_examples", "draw", "expression", "metric", "region", "value", "unit",
-    "dataset", "truth", "weights", "noise_mm", "correspondence", "status",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -99,31 +93,3 @@ def _header(path: Path, schema: pa.Schema) -> Mapping[str, Any]:
             "Nothing was overwritten. Move the results folder away, or choose another with paths.results=FOLDER."
         )
     return header
-
-
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Call write(temporary) and move the result to path: the file is whole or absent.
-
-    Raises InvalidInput for a full disk or a folder that cannot be written.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp{path.suffix}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write(temporary)
-        temporary.replace(path)
-    except OSError as error:
-        if path.parent.is_dir():
-            temporary.unlink(missing_ok=True)
-        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
-        what = "the disk is full" if full else f"it cannot be written ({error.strerror or error})"
-        remedy = "Free some space" if full else "Make the folder writable or choose another with paths.results=FOLDER"
-        raise InvalidInput(
-            f"{path}: {what}. Finished cells are kept and no file is half written. {remedy}, "
-            "then start the same command again: it continues where it stopped."
-        ) from error
-
-
-def check_folder(folder: Path) -> None:
-    """Raises InvalidInput unless files can be written there."""
-    write_whole(folder / ".writable", lambda temporary: temporary.write_text(""))
-    (folder / ".writable").unlink(missing_ok=True)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
@@ -14,12 +14,13 @@ from rich.console import Console
 from experiments.compute import compute
 from experiments.metrics.metric import Metric
 from experiments.plan import plan
-from experiments.record import check_folder
+from experiments.progress import print_path
 from experiments.study import Row, Study
 from experiments.tables import collect, write_tables
 from reports.report import build_report
 from reports.terminal import print_summary
 from retarget.check import InvalidInput
+from retarget.io.files import check_folder
 from retarget.types import Retargeter
 
 
@@ -28,27 +29,33 @@ def run(config: DictConfig, folder: Path, console: Console) -> None:
     started = datetime.now(UTC)
     check_folder(folder)
     study = Study.from_config(_plain(config.study))
-    methods = [Row(name, _plain(node), _method(name, node)) for name, node in config.method.items()]
-    metrics: dict[str, tuple[Metric, Mapping[str, Any]]] = {
-        str(name): (instantiate(node), _plain(node)) for name, node in config.metric.items()
-    }
+    methods = [Row(name, settings, _method(name, settings)) for name, settings in _chosen(config, "method")]
+    study.check_rows([row.name for row in methods])
+    metrics = {name: (cast(Metric, instantiate(settings)), settings) for name, settings in _chosen(config, "metric")}
     dataset = instantiate(config.dataset).load(lambda line: console.print(f"  {line}"))
     planned = plan(study, dataset, methods, metrics, folder)
     compute(planned, instantiate(config.backend), console)
     summary = write_tables(planned, collect(planned), _plain(config), started)
     print_summary(summary, console, metric=study.primary_metric, region=study.primary_region)
     for name in ("metrics.parquet", "summary.csv"):
-        console.print(f"{folder / name}", soft_wrap=True)
+        print_path(folder / name, console)
     if config.report:
-        report = build_report([folder], None, lambda line: console.print(f"  {line}"))
-        console.print(f"{report}", soft_wrap=True)
+        print_path(build_report([folder], None, lambda line: console.print(f"  {line}")), console)
 
 
-def _method(name: Any, node: DictConfig) -> Retargeter:
-    method = instantiate(node)
+def _chosen(config: DictConfig, group: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Name and settings of each chosen option of a group. Raises InvalidInput where there is none."""
+    chosen = config.get(group)
+    if not chosen:
+        raise InvalidInput(f"{group}: expected at least one, got none; choose with '{group}=[NAME,NAME]'.")
+    yield from _plain(chosen).items()
+
+
+def _method(name: str, settings: Mapping[str, Any]) -> Retargeter:
+    method = instantiate(settings)
     if not isinstance(method, Retargeter):
         raise InvalidInput(
-            f"method {name}: {node.get('_target_')} makes a {type(method).__name__}, expected a Retargeter."
+            f"method {name}: {settings.get('_target_')} makes a {type(method).__name__}, expected a Retargeter."
         )
     return method
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from experiments.catalogue import options
 from experiments.correspondence import correspondence
 from experiments.references import REFERENCES
 from retarget.check import InvalidInput
@@ -48,17 +49,39 @@ class Study:
         """Raises InvalidInput for a value that no study can have."""
         values = dict(config)
         for key in ("n_examples", "references", "primary_family"):
+            if not isinstance(values[key], list):
+                raise InvalidInput(f"study.{key}: expected a list such as [5,15], got {values[key]!r}.")
             values[key] = tuple(values[key])
-        study = Study(**values | {"figures": Figures(**values["figures"])})
+        figures = Figures(**values.pop("figures"))
+        for key in ("seed", "draws", "test_expressions"):
+            _whole(f"study.{key}", values[key], 0 if key == "seed" else 1)
+        for count in values["n_examples"]:
+            _whole("study.n_examples", count, 0)
+        for key in ("pairs", "draws"):
+            _whole(f"study.figures.{key}", getattr(figures, key), 0)
+        study = Study(**values, figures=figures)
         correspondence(study.correspondence)
         choose("study.span", study.span, SPANS)
         for name in study.references:
             choose("study.references", name, REFERENCES)
-        if study.draws < 1:
-            raise InvalidInput(f"study.draws: expected at least 1, got {study.draws}.")
-        if len(set(study.n_examples)) < len(study.n_examples):
+        for name in (study.reference, *study.primary_family):
+            choose("study.primary_family" if name != study.reference else "study.reference", name, options("method"))
+        if not study.n_examples or len(set(study.n_examples)) < len(study.n_examples):
             raise InvalidInput(f"study.n_examples: expected different counts, got {list(study.n_examples)}.")
         return study
+
+    def check_rows(self, methods: Sequence[str]) -> None:
+        """Raises InvalidInput unless the method that all rows are compared with is among them."""
+        if self.reference not in methods:
+            raise InvalidInput(
+                f"study.reference: every row is compared with '{self.reference}', which is not among the chosen "
+                f"methods {', '.join(methods)}. Add it to method=[...], or set study.reference={methods[0]}."
+            )
+
+
+def _whole(name: str, value: object, least: int) -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or value < least:
+        raise InvalidInput(f"{name}: expected a whole number of at least {least}, got {value!r}.")
 
 
 @dataclass(frozen=True)

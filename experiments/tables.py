@@ -12,12 +12,13 @@ import pyarrow as pa
 
 from experiments.catalogue import sentence
 from experiments.plan import Plan
-from experiments.record import SCHEMA, read_record, write_whole
+from experiments.record import SCHEMA, read_record
 from experiments.references import REFERENCES
 from experiments.study import Row
 from experiments.version import environment
 from reports.summary import summarise
 from retarget.check import InvalidInput
+from retarget.io.files import write_whole
 
 
 def collect(planned: Plan) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -56,7 +57,7 @@ def write_tables(
     summary = summarise(
         metrics,
         study.reference,
-        study.primary_family,
+        [name for name in study.primary_family if name not in study.references],
         study.primary_metric,
         study.primary_region,
         study.seed,

@@ -6,6 +6,7 @@ Every message names the thing, what was expected, what came, and what to do.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -96,20 +97,29 @@ def check_no_edits(method: str, edits: Mapping[str, Any] | None) -> None:
         )
 
 
-def check_problem(problem: RetargetProblem) -> None:
-    """Validate a problem as a whole; raises InvalidInput."""
+def check_problem(problem: RetargetProblem) -> RetargetProblem:
+    """The problem with its arrays as float64 and int64; raises InvalidInput where they do not fit together."""
     source = check_vertices("source_neutral", problem.source_neutral)
     n = len(source)
     target = check_vertices("target_neutral", problem.target_neutral, n)
     faces = check_faces("faces", problem.faces, n)
-    check_frames("source_animation", problem.source_animation, n)
-    check_frames("target_examples", problem.target_examples, n)
+    target_examples = check_frames("target_examples", problem.target_examples, n)
+    source_examples = None
     if problem.source_examples is not None:
-        examples = check_frames("source_examples", problem.source_examples, n)
-        if len(examples) != len(problem.target_examples):
+        source_examples = check_frames("source_examples", problem.source_examples, n)
+        if len(source_examples) != len(target_examples):
             raise InvalidInput(
-                f"source_examples: expected one for each of the {len(problem.target_examples)} target examples, "
-                f"got {len(examples)}. Give corresponding pairs, or None where no correspondence is known."
+                f"source_examples: expected one for each of the {len(target_examples)} target examples, "
+                f"got {len(source_examples)}. Give corresponding pairs, or None where no correspondence is known."
             )
     check_triangle_areas("source_neutral", source, faces)
     check_triangle_areas("target_neutral", target, faces)
+    return replace(
+        problem,
+        faces=faces,
+        source_neutral=source,
+        target_neutral=target,
+        source_animation=check_frames("source_animation", problem.source_animation, n),
+        target_examples=target_examples,
+        source_examples=source_examples,
+    )

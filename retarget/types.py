@@ -166,7 +166,7 @@ class Retargeter(ABC):
         """
         from retarget.check import UnsupportedProblem, check_frames, check_problem
 
-        check_problem(problem)
+        problem = check_problem(problem)
         frames = check_frames("source_frames", source_frames, len(problem.source_neutral))
         if reason := self.unsupported(problem):
             raise UnsupportedProblem(f"{type(self).__name__} cannot serve this problem: {reason}")

@@ -9,7 +9,10 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+import yaml
 
+from experiments.metrics.metric import Comparison
+from retarget.check import InvalidInput
 from retarget.types import RetargetProblem
 from tests.experiments.toy import toy
 
@@ -28,15 +31,44 @@ def test_the_readme_example_retargets_and_prints_its_error(capsys: pytest.Captur
     assert 0 < float(found[1]) < 2
 
 
+def module_of(code: str, name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    module = ModuleType(name)
+    monkeypatch.setitem(sys.modules, name, module)
+    exec(code, module.__dict__)
+    return module
+
+
 def test_the_method_of_the_contributing_page_is_a_method(monkeypatch: pytest.MonkeyPatch) -> None:
-    (example,) = code_blocks("CONTRIBUTING.md")
-    module = ModuleType("half_delta")
-    monkeypatch.setitem(sys.modules, "half_delta", module)
-    exec(example, module.__dict__)
+    method = module_of(code_blocks("CONTRIBUTING.md")[0], "half_delta", monkeypatch).HalfDelta()
     data = toy(identities=2)
     problem = RetargetProblem(
         data.faces, data.neutral("a"), data.neutral("b"), data.frames("a", range(9)), np.empty((0, 642, 3))
     )
     frames = data.frames("a", [3])
     expected = data.neutral("b") + 0.5 * (frames - data.neutral("a"))
-    np.testing.assert_allclose(module.HalfDelta().retarget(problem, frames).frames, expected)
+    np.testing.assert_allclose(method.retarget(problem, frames).frames, expected)
+    fitted = method.prepare(problem.pair).fit(problem.examples, problem.source_animation)
+    for broken in (frames[0], frames[:, :-1], np.full_like(frames, np.nan)):
+        with pytest.raises(InvalidInput):
+            fitted(broken)
+
+
+def test_the_metric_of_the_contributing_page_is_a_metric(monkeypatch: pytest.MonkeyPatch) -> None:
+    metric = module_of(code_blocks("CONTRIBUTING.md")[1], "motion_ratio", monkeypatch).MotionRatio(["head"])
+    data = toy(identities=1)
+    neutral, truth = data.neutral("a"), data.frames("a", [3, 4])
+    answers = {0.0: truth, 1.0: np.stack([neutral] * 2), 0.5: (truth + neutral) / 2}
+    for value, answer in answers.items():
+        (measured,) = metric(Comparison(answer, truth, truth, neutral, neutral, data.faces, data.regions))
+        np.testing.assert_allclose(measured.values, value)
+
+
+def test_the_configurations_of_the_contributing_page_have_a_sentence_and_name_their_package() -> None:
+    pages = re.findall(r"```yaml\n(.*?)```", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert len(pages) == 2
+    for page in pages:
+        package, comment = page.splitlines()[:2]
+        assert re.fullmatch(r"# @package (method|metric)\.\w+", package)
+        assert comment.startswith("# ")
+        assert comment.endswith(".")
+        assert "_target_" in yaml.safe_load(page)

@@ -31,8 +31,13 @@ def command(folder: Path, *arguments: str) -> list[str]:
     return [sys.executable, "-m", "experiments", *arguments, f"paths.results={folder / 'results'}"]
 
 
+HERE = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}  # this checkout, wherever the command runs
+
+
 def call(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command(folder, *arguments), cwd=folder, capture_output=True, text=True, timeout=300)
+    return subprocess.run(
+        command(folder, *arguments), cwd=folder, env=HERE, capture_output=True, text=True, timeout=300
+    )
 
 
 def records(folder: Path) -> list[Path]:
@@ -59,6 +64,16 @@ def test_a_run_writes_its_tables_and_says_where(finished: Path) -> None:
     assert {path.name for path in finished.iterdir()} == {"results"}  # nothing else is littered
 
 
+def test_report_and_gate_find_the_finished_study(finished: Path) -> None:
+    reported = call(finished, "report", "study=ci", f"output={finished / 'again.pdf'}")
+    assert reported.returncode == 0, reported.stderr
+    (finished / "again.pdf").unlink()
+    gated = call(finished, "gate", "study=ci")
+    assert gated.returncode == 1  # the tiny study is not the one that the gates were set on
+    assert "FAIL" in gated.stdout
+    assert "Traceback" not in gated.stderr
+
+
 def test_the_same_command_again_computes_nothing_and_prints_the_same_table(finished: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in records(finished)}
     again = call(finished, "run", *TINY)
@@ -72,6 +87,7 @@ def test_a_run_killed_in_mid_study_continues_and_ends_with_the_same_table(finish
     run = subprocess.Popen(
         command(tmp_path, "run", *TINY, "backend=serial"),
         cwd=tmp_path,
+        env=HERE,
         start_new_session=True,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -99,11 +115,14 @@ def test_a_run_killed_in_mid_study_continues_and_ends_with_the_same_table(finish
 def test_a_sweep_runs_into_separate_folders_that_report_merges(finished: Path, tmp_path: Path) -> None:
     swept = call(tmp_path, "run", "-m", *TINY, "method.plbs.lambda_reg=0.01,1.0")
     assert swept.returncode == 0, swept.stderr
-    tables = sorted((tmp_path / "results" / "ci").rglob("metrics.parquet"))
+    sweep = tmp_path / "results" / "ci" / "sweep"
+    tables = sorted(sweep.rglob("metrics.parquet"))
+    assert all(str(table) in swept.stdout for table in tables)
+    assert [table.parent.name for table in tables] == ["method.plbs.lambda_reg-0.01", "method.plbs.lambda_reg-1.0"]
     assert len(tables) == 2
     means = [pd.read_parquet(table).query("method == 'plbs'")["value"].mean() for table in tables]
     assert means[0] != means[1]
-    merged = call(tmp_path, "report", f"inputs=[{tmp_path / 'results' / 'ci'}]", f"output={tmp_path / 'both.pdf'}")
+    merged = call(tmp_path, "report", f"inputs=[{sweep}]", f"output={tmp_path / 'both.pdf'}")
     assert merged.returncode == 0, merged.stderr
     assert (tmp_path / "both.pdf").read_bytes().startswith(b"%PDF")
 
@@ -120,6 +139,12 @@ def test_a_sweep_runs_into_separate_folders_that_report_merges(finished: Path, t
         (["gate"], "no finished study there"),
         (["report", "study=nothing"], "nothing"),
         (["rum"], "Did you mean 'run'"),
+        (["run", *TINY, "method.plbs.lambda_reg=-1"], "lambda_reg: expected a positive number, got -1"),
+        (["run", *TINY, "+method.plbs.foo=1"], "unexpected keyword argument 'foo'"),
+        (["run", *TINY, "metric=[]"], "metric: expected at least one, got none"),
+        (["report", "study=ci"], "ci"),
+        (["gate", "study=quantitative"], "no finished study there"),
+        (["report", "results/quantitative"], "KEY=VALUE"),
     ],
 )
 def test_mistakes_are_told_without_a_traceback_and_leave_nothing_behind(
@@ -141,7 +166,7 @@ def test_a_corrupt_wheel_is_refused_with_both_hashes(tmp_path: Path) -> None:
 
 
 def test_no_network_is_told_with_what_to_do(tmp_path: Path) -> None:
-    offline = os.environ | {"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": "", "PIP_CONFIG_FILE": os.devnull}
+    offline = HERE | {"PIP_NO_INDEX": "1", "PIP_FIND_LINKS": "", "PIP_CONFIG_FILE": os.devnull}
     arguments = command(tmp_path, "run", *TINY, f"dataset.cache={tmp_path / 'cache'}")
     done = subprocess.run(arguments, cwd=tmp_path, env=offline, capture_output=True, text=True, timeout=300)
     assert done.returncode == 1
@@ -175,7 +200,12 @@ def test_a_record_of_an_old_schema_stops_the_run_and_is_kept(finished: Path, tmp
 
 def test_the_catalogue_the_help_and_the_configuration_are_there(tmp_path: Path) -> None:
     listed = subprocess.run(
-        [sys.executable, "-m", "experiments", "list"], cwd=tmp_path, capture_output=True, text=True, timeout=60
+        [sys.executable, "-m", "experiments", "list"],
+        cwd=tmp_path,
+        env=HERE,
+        capture_output=True,
+        text=True,
+        timeout=60,
     ).stdout
     assert all(name in listed for name in ("plbs_residual", "makehuman", "quantitative", "vertex_l2", "full"))
     shown = call(tmp_path, "run", "--cfg", "job").stdout

@@ -45,8 +45,8 @@ def test_the_command_prints_a_table_and_tells_whether_all_hold(tmp_path: Path) -
     file = tmp_path / "gates.yaml"
     metrics().to_parquet(tmp_path / "metrics.parquet")
     out = io.StringIO()
-    proposing = OmegaConf.create({"study": "ci", "gates": None, "propose": str(file)})
-    checking = OmegaConf.create({"study": "ci", "gates": str(file), "propose": None})
+    proposing = OmegaConf.create({"study": {"name": "ci"}, "gates": None, "propose": str(file)})
+    checking = OmegaConf.create({"study": {"name": "ci"}, "gates": str(file), "propose": None})
     assert gate(tmp_path, proposing, Console(file=out))
     assert gate(tmp_path, checking, Console(file=out, width=150))
     assert "2 gates hold (1 on signed errors are not listed), 0 fail" in out.getvalue()
@@ -62,7 +62,7 @@ def test_gates_come_back_as_they_were_written(tmp_path: Path) -> None:
 
 
 def test_missing_studies_and_odd_files_are_refused(tmp_path: Path) -> None:
-    config = OmegaConf.create({"study": "ci", "gates": None, "propose": None})
+    config = OmegaConf.create({"study": {"name": "ci"}, "gates": None, "propose": None})
     with pytest.raises(InvalidInput, match="no finished study there"):
         gate(tmp_path / "ci", config, Console())
     with pytest.raises(InvalidInput, match="no gates file"):

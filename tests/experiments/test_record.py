@@ -7,8 +7,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from experiments import record
-from experiments.record import Record, digest, read_header, read_record, write_record, write_whole
+from experiments.record import Record, digest, read_header, read_record, write_record
 from retarget.check import InvalidInput
+from retarget.io.files import write_whole
 
 ROWS = pa.table({"value": [1.5, float("nan")], "region": ["head", "lips"]})
 HEADER = {"schema": record.SCHEMA, "cell": "abc", "status": "ok", "solves": [{"energy": [2.0, 1.0]}]}

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import os
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,12 +17,15 @@ from rich.console import Console
 from experiments import plan as plan_module
 from experiments.backend import Backend, Joblib, Serial
 from experiments.compute import compute
+from experiments.metrics.metric import Comparison, Measurement, Metric
 from experiments.metrics.vertex_l2 import VertexL2
 from experiments.plan import Plan, plan
-from experiments.record import FRAMES, METRIC_COLUMNS, RECORD, check_folder
+from experiments.record import FRAMES, RECORD
 from experiments.study import Figures, Row, Study
 from experiments.tables import collect
+from reports.cells import METRIC_COLUMNS
 from retarget.check import InvalidInput
+from retarget.io.files import check_folder
 from retarget.types import (
     Examples,
     FloatArray,
@@ -50,7 +55,9 @@ STUDY = Study(
     primary_family=("delta",),
     figures=Figures(pairs=1, draws=1),
 )
-METRIC = {"vertex_l2": (VertexL2(["mean"], ["head", "lips"]), {"statistics": ["mean"]})}
+METRIC: dict[str, tuple[Metric, dict[str, Any]]] = {
+    "vertex_l2": (VertexL2(["mean"], ["head", "lips"]), {"statistics": ["mean"]})
+}
 
 
 @dataclass(frozen=True)
@@ -247,9 +254,93 @@ def test_data_that_no_study_can_use_is_refused_before_anything_runs(tmp_path: Pa
     assert not (tmp_path / "results").exists()
 
 
+CONFIG: dict[str, Any] = {**vars(STUDY), "n_examples": [2, 5], "references": ["neutral"], "primary_family": ["plbs"]}
+CONFIG |= {"reference": "delta", "figures": {"pairs": 0, "draws": 0}}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"n_examples": 5}, r"study\.n_examples: expected a list such as \[5,15\], got 5"),
+        ({"n_examples": ["five"]}, "study.n_examples: expected a whole number of at least 0, got 'five'"),
+        ({"n_examples": [5.5]}, "got 5.5"),
+        ({"n_examples": [-1]}, "got -1"),
+        ({"n_examples": [5, 5]}, "expected different counts"),
+        ({"n_examples": []}, "expected different counts"),
+        ({"test_expressions": 0}, "study.test_expressions: expected a whole number of at least 1"),
+        ({"draws": "two"}, "study.draws"),
+        ({"seed": -1}, "study.seed"),
+        ({"correspondence": "givn"}, "Did you mean 'given'"),
+        ({"span": "all"}, "study.span: 'all' is unknown"),
+        ({"references": ["neutrl"]}, "Did you mean 'neutral'"),
+        ({"primary_family": ["lbz"]}, "study.primary_family: 'lbz' is unknown, .* Did you mean 'lbs'"),
+    ],
+)
+def test_values_that_no_study_can_have_are_refused(change: dict[str, Any], words: str) -> None:
+    assert Study.from_config(CONFIG).n_examples == (2, 5)
+    with pytest.raises(InvalidInput, match=words):
+        Study.from_config(CONFIG | change)
+
+
+@pytest.mark.parametrize(
+    ("study", "words"),
+    [
+        (replace(STUDY, primary_metric="vertex_l2_meen"), "Did you mean 'vertex_l2_mean'"),
+        (replace(STUDY, primary_region="chin"), "study.primary_region: 'chin' is unknown, expected one of head, lips"),
+        (replace(STUDY, reference="plbs"), r"Add it to method=\[...\], or set study.reference=delta"),
+    ],
+)
+def test_a_study_that_tests_what_nobody_measures_is_refused(tmp_path: Path, study: Study, words: str) -> None:
+    with pytest.raises(InvalidInput, match=words):
+        planned(tmp_path, study=study)
+
+
+@dataclass(frozen=True)
+class Broken(Metric):
+    def __call__(self, comparison: Comparison) -> Iterator[Measurement]:
+        yield Measurement("broken", "head", "mm", "lower", np.zeros((2, 2)))
+
+
+def test_a_metric_that_does_not_work_is_found_before_anything_is_computed(tmp_path: Path) -> None:
+    rows = [Row("delta", {}, Delta())]
+    with pytest.raises(InvalidInput, match=r"metric 'broken' fails on this dataset: .* shape"):
+        plan(STUDY, toy(), rows, {**METRIC, "broken": (Broken(), {})}, tmp_path)
+    with pytest.raises(InvalidInput, match="region 'chin'"):
+        plan(STUDY, toy(), rows, {"vertex_l2": (VertexL2(["mean"], ["head", "chin"]), {})}, tmp_path)
+
+
+@dataclass(frozen=True)
+class Spy(Retargeter):
+    """Answers as Delta, and refuses unless it was shown the expected number of source frames."""
+
+    frames: int = 0
+
+    def unsupported(self, problem: RetargetProblem) -> str | None:
+        seen = len(problem.source_animation)
+        return None if seen == self.frames else f"saw {seen} frames"
+
+    def prepare(self, pair: Pair) -> DeltaPrepared:
+        return DeltaPrepared("", pair)
+
+
+@pytest.mark.parametrize(("span", "frames"), [("animation", 40), ("five", 3)])
+def test_the_span_decides_how_much_of_the_animation_a_method_sees(tmp_path: Path, span: str, frames: int) -> None:
+    _, cells = run(planned(tmp_path, study=replace(STUDY, span=span), methods={"delta": Spy(frames)}))
+    assert set(cells["status"]) == {"ok"}
+
+
+def test_what_a_killed_process_left_half_written_is_cleared_and_a_living_one_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "cell").mkdir()
+    dead, alive = (tmp_path / "cell" / f".frames.npz.{pid}.tmp.npz" for pid in (2**22 + 5, os.getpid()))
+    dead.touch()
+    alive.touch()
+    check_folder(tmp_path)
+    assert list((tmp_path / "cell").iterdir()) == [alive]
+
+
 def test_a_results_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     (tmp_path / "results").write_text("somebody's file")
-    with pytest.raises(InvalidInput, match="cannot be written"):
+    with pytest.raises(InvalidInput, match="nothing can be written there"):
         check_folder(tmp_path / "results" / "ci")
     assert (tmp_path / "results").read_text() == "somebody's file"
     check_folder(tmp_path / "fine")
