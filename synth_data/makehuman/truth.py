@@ -42,10 +42,10 @@ def _personal_blendshapes(identity: Identity, head: BaseHead, targets: Targets, 
 TRUTHS: Mapping[str, Truth] = {
     "personal_blendshapes": Truth(
         _personal_blendshapes,
-        "Personal ARKit blendshapes blended linearly: LBS becomes exact as the examples span the 51 units, so this "
-        "truth favours linear methods with many examples. The personal units are pointwise transforms of one shared "
-        "displacement field and move the same vertices for everybody, so it also favours `delta` over deformation "
-        "transfer, and thereby penalises the residual controls. It was made without any real expression and shows "
-        "nothing about contact, skin sliding or other non-linear motion.",
+        "The ground truth is synthetic: personal ARKit blendshapes blended linearly. LBS becomes exact as the examples "
+        "span the 51 units, so this truth favours linear methods with many examples. The personal units are pointwise "
+        "transforms of one shared displacement field and move the same vertices for everybody, so it also favours "
+        "delta transfer over deformation transfer, and thereby penalises the residual controls. It was made without "
+        "any real expression and shows nothing about contact, skin sliding or other non-linear motion.",
     ),
 }
