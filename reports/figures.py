@@ -60,7 +60,7 @@ def box_plot(study: StudyResults, path: Path) -> None:
     values, methods = pair_values(study), _drawn(study)
     counts = study.facts["n_examples"]
     with _figure(path, WIDTH, 3.25) as figure:
-        axes = figure.add_axes((0.075, 0.22, 0.92, 0.75))
+        axes = figure.add_axes((0.095, 0.22, 0.9, 0.75))
         step = 0.84 / max(len(methods), 1)
         for group, count in enumerate(counts):
             for i, m in enumerate(methods):
@@ -86,7 +86,7 @@ def example_effect(study: StudyResults, path: Path) -> None:
     """Mean error with its 95 % interval over the number of examples, on a logarithmic scale that holds the methods."""
     primary, methods, counts = study.primary, _drawn(study), study.facts["n_examples"]
     with _figure(path, WIDTH, 2.75) as figure:
-        axes = figure.add_axes((0.075, 0.29, 0.92, 0.67))
+        axes = figure.add_axes((0.095, 0.29, 0.9, 0.67))
         spread = 0.3 / max(len(methods), 1)
         lows, highs = [], []
         for i, m in enumerate(methods):
@@ -225,9 +225,10 @@ def _legend(figure: Figure, study: StudyResults, methods: list[MethodFacts]) -> 
 
 
 def _log_ticks(axes: Axes, which: str, low: float, high: float) -> None:
-    """A logarithmic axis with ticks at 1, 2, 5 of each decade, as plain numbers."""
+    """A logarithmic axis with plain numbers at 1, 2, 5 of each decade, or fewer where they would touch."""
     margin = (high / low) ** 0.06
-    ticks = [m * 10.0**e for e in range(-6, 7) for m in (1, 2, 5) if low / margin <= m * 10.0**e <= high * margin]
+    points = 72 / axes.figure.dpi * (axes.bbox.width if which == "x" else axes.bbox.height)
+    ticks = _log_steps(low / margin, high * margin, points, apart=24 if which == "x" else 11)
     if which == "x":
         axes.set_xscale("log")
         axes.set_xlim(low / margin, high * margin)
@@ -239,6 +240,14 @@ def _log_ticks(axes: Axes, which: str, low: float, high: float) -> None:
     axis.set_major_formatter(FixedFormatter([f"{tick:g}" for tick in ticks]))
     axis.set_minor_locator(NullLocator())
     axis.set_minor_formatter(NullFormatter())
+
+
+def _log_steps(low: float, high: float, points: float, apart: float) -> list[float]:
+    """Round numbers in [low, high], at least `apart` from each other on a logarithmic axis of length `points`."""
+    per_decade = points / np.log10(high / low)
+    steps = ((1, (1, 2, 5), np.log10(2)), (1, (1, 3), np.log10(3)), (1, (1,), 1.0), (2, (1,), 2.0), (3, (1,), 3.0))
+    every, factors, _ = next((step for step in steps if step[2] * per_decade >= apart), steps[-1])
+    return [m * 10.0**e for e in range(-6, 7, every) for m in factors if low <= m * 10.0**e <= high]
 
 
 @contextmanager

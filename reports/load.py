@@ -107,6 +107,15 @@ class StudyResults:
         """The name to print for a method."""
         return next((m.label for m in self.methods if m.name == method), method)
 
+    def kind(self, method: str) -> str:
+        """The kind of a method; "method" for one that is not in the table."""
+        return next((m.kind for m in self.methods if m.name == method), "method")
+
+    @property
+    def unit(self) -> str:
+        """The unit of the primary metric."""
+        return str(self.metrics.loc[self.metrics["metric"] == self.facts["primary_metric"], "unit"].iloc[0])
+
     @cached_property
     def tested(self) -> tuple[str, ...]:
         """All rows but the references, which enter no test."""

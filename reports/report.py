@@ -23,8 +23,8 @@ from reports.colors import ERROR_COLORMAP
 from reports.findings import conditions, favours, findings
 from reports.heads import HeadPages, render_heads
 from reports.load import StudyResults, load
-from reports.statistics import benjamini_hochberg
-from reports.summary import paired_tests
+from reports.statistics import REPLICATES, benjamini_hochberg
+from reports.summary import paired_tests, region_tests
 from reports.text import estimate
 from retarget.check import InvalidInput
 
@@ -87,14 +87,14 @@ def _study(study: StudyResults, work: Path, prefix: str, progress: Callable[[str
     facts = study.facts
     metric, region = facts["primary_metric"], facts["primary_region"]
     seed = int(facts["provenance"]["seed"])
-    order = [m.name for m in study.methods]
     rows = study.metrics[study.metrics["metric"] == metric]
-    family = [name for name in facts["primary_family"] if name in order]
+    untested = {facts["reference"], *(m.name for m in study.methods if m.kind == "reference")}
+    family = [name for name in facts["primary_family"] if name not in untested]
     others = [name for name in study.tested if name not in family]
     primary = paired_tests(rows[rows["region"] == region], facts["reference"], family, metric, region, seed)
-    controls = paired_tests(rows[rows["region"] == region], facts["reference"], others, metric, region, seed)
-    controls["adjusted"] = benjamini_hochberg(controls["p"])
-    everyone = pd.concat([table for table in (primary, controls) if len(table)] or [primary], ignore_index=True)
+    secondary = paired_tests(rows[rows["region"] == region], facts["reference"], others, metric, region, seed)
+    secondary["adjusted"] = benjamini_hochberg(secondary["p"])
+    everyone = pd.concat([table for table in (primary, secondary) if len(table)] or [primary], ignore_index=True)
     progress("plots")
     figures.box_plot(study, work / f"{prefix}-box.svg")
     figures.example_effect(study, work / f"{prefix}-examples.svg")
@@ -102,7 +102,7 @@ def _study(study: StudyResults, work: Path, prefix: str, progress: Callable[[str
         figures.ratio_plot(study, everyone, work / f"{prefix}-ratio.svg")
     progress("rendering heads")
     heads = render_heads(study, work, prefix)
-    different = _different_regions(study, rows, seed)
+    different = _different_regions(study)
     regions = []
     for count in facts["n_examples"]:
         names, body = tables.region_rows(study, count, different.get(count, set()))
@@ -117,6 +117,7 @@ def _study(study: StudyResults, work: Path, prefix: str, progress: Callable[[str
         "counts": facts["n_examples"],
         "reference": study.label(facts["reference"]),
         "metric": metric,
+        "unit": study.unit,
         "region": region,
         "pairs": sorted(set(study.primary.loc[study.primary["n_pairs"] > 0, "n_pairs"].astype(int))),
         "summary": tables.summary_rows(study),
@@ -126,7 +127,8 @@ def _study(study: StudyResults, work: Path, prefix: str, progress: Callable[[str
         "regions": regions,
         "heads": _heads(heads),
         "tests": tables.test_rows(study, primary.assign(adjusted=primary["p_holm"])),
-        "controls": tables.test_rows(study, controls),
+        "family": {"run": int((primary["n_pairs"] > 0).sum()), "declared": len(family) * len(facts["n_examples"])},
+        "secondary": tables.test_rows(study, secondary),
         "times": tables.time_rows(study),
         "statuses": tables.status_rows(study),
         "cells": len(study.cells),
@@ -137,21 +139,16 @@ def _study(study: StudyResults, work: Path, prefix: str, progress: Callable[[str
             "draws": facts["draws"],
             "expressions": facts["expressions"],
             "vertices": facts["vertices"],
+            "replicates": REPLICATES,
             "tests": int(study.metrics.groupby(["source", "target", "draw"])["expression"].nunique().max()),
             "correspondence": str(study.cells["correspondence"].iloc[0]),
         },
     }
 
 
-def _different_regions(study: StudyResults, rows: pd.DataFrame, seed: int) -> dict[int, set[tuple[str, str]]]:
+def _different_regions(study: StudyResults) -> dict[int, set[tuple[str, str]]]:
     """Per example count (method, region) that differ from the reference after Benjamini-Hochberg over all of them."""
-    reference = study.facts["reference"]
-    metric = study.facts["primary_metric"]
-    found = [
-        paired_tests(here, reference, study.tested, metric, str(region), seed).assign(region=region)
-        for region, here in rows.groupby("region", sort=False)
-    ]
-    tests = pd.concat(found, ignore_index=True)
+    tests = region_tests(study.metrics, study.facts["reference"], study.tested, study.facts["primary_metric"])
     different: dict[int, set[tuple[str, str]]] = {}
     for test in tests[benjamini_hochberg(tests["p"]) < _SIGNIFICANT].to_dict("records"):
         different.setdefault(int(test["n_examples"]), set()).add((test["method"], test["region"]))

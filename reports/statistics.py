@@ -1,7 +1,8 @@
 """Statistics for samples that cluster by identity: tests, effect sizes and bootstrap intervals on plain arrays.
 
-Every (source, target) pair gives one value per method. Pairs share people, so a test on pairs is printed beside a
-test on target means and a bootstrap that resamples sources, targets and example draws; claim what all three support.
+Every (source, target) pair gives one value per method. Pairs share people, so a test on pairs is printed beside
+tests on source means and on target means and a bootstrap that resamples sources, targets and example draws; claim
+what all of them support.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from scipy.stats import wilcoxon as _wilcoxon
 from retarget.types import FloatArray, IntArray
 
 MIN_IDENTITIES = 4  # below, a p-value is `not testable` and given as NaN
+MIN_RESAMPLED = 3  # sources and targets; a bootstrap of fewer would show certainty that is not there
 REPLICATES = 2000
 LEVEL = 0.95
 
@@ -57,9 +59,17 @@ def geometric_mean_ratio(values: ArrayLike, reference: ArrayLike) -> float:
     return float(np.exp(np.mean(np.log(v) - np.log(r))))
 
 
-def holm(p: ArrayLike) -> FloatArray:
-    """Step-down adjusted p-values of one family (Holm 1979); NaN stays NaN and does not count as a test."""
-    return _adjust(p, lambda ordered: np.maximum.accumulate(ordered * np.arange(len(ordered), 0, -1)))
+def holm(p: ArrayLike, size: int = 0) -> FloatArray:
+    """Step-down adjusted p-values of one family (Holm 1979); NaN stays NaN and does not count as a test.
+
+    size is the declared number of tests, where it exceeds those given: what was not run costs as if it had been.
+    """
+
+    def step_down(ordered: FloatArray) -> FloatArray:
+        m = max(size, len(ordered))
+        return np.maximum.accumulate(ordered * (m - np.arange(len(ordered))))
+
+    return _adjust(p, step_down)
 
 
 def benjamini_hochberg(p: ArrayLike) -> FloatArray:
@@ -112,11 +122,13 @@ class Clusters:
         np.add.at(total, self.pair, cells)
         return total / np.bincount(self.pair, minlength=self.count).reshape(-1, *[1] * (cells.ndim - 1))
 
+    def source_means(self, pairs: FloatArray) -> FloatArray:
+        """(number of sources,) means of (p,) pair values over the targets of each source."""
+        return np.bincount(self.sources, pairs) / np.bincount(self.sources)
+
     def target_means(self, pairs: FloatArray) -> FloatArray:
-        """(number of targets, ...) means of (p, ...) pair values over the sources."""
-        total = np.zeros((int(self.targets.max(initial=-1)) + 1, *pairs.shape[1:]))
-        np.add.at(total, self.targets, pairs)
-        return total / np.bincount(self.targets).reshape(-1, *[1] * (pairs.ndim - 1))
+        """(number of targets,) means of (p,) pair values over the sources of each target."""
+        return np.bincount(self.targets, pairs) / np.bincount(self.targets)
 
 
 @dataclass(frozen=True)
@@ -135,8 +147,10 @@ class Resamples:
     def of(clusters: Clusters, seed: int, count: int = REPLICATES) -> Resamples:
         """Draw sources, targets and, within each pair, draws with replacement (two-way: Owen 2007).
 
-        A replicate in which no drawn source meets a drawn target is left out.
+        A replicate in which no drawn source meets a drawn target is left out. There are none at all with fewer than
+        MIN_RESAMPLED sources or targets.
         """
+        count = count if clusters.identities >= MIN_RESAMPLED else 0
         rng = np.random.default_rng(seed)
         by_source = _multiplicities(rng, clusters.sources, count)
         by_target = _multiplicities(rng, clusters.targets, count)
@@ -175,7 +189,10 @@ def interval(replicates: FloatArray, level: float = LEVEL) -> tuple[FloatArray, 
 
 @dataclass(frozen=True)
 class PairedComparison:
-    """A method against a reference on cells where both finished; p-values are raw and two-sided."""
+    """A method against a reference on cells where both finished; p-values are raw and two-sided.
+
+    effect and tests are on log ratios, as ratio and interval are; on differences where a value is not positive.
+    """
 
     n_pairs: int
     ratio: float  # geometric mean over pairs of method / reference
@@ -184,6 +201,7 @@ class PairedComparison:
     win_rate: float
     effect: float  # matched-pairs rank-biserial; negative: the method's error is smaller
     p: float  # one value per pair
+    p_sources: float  # one value per source
     p_targets: float  # one value per target
     p_naive: float  # every expression of every cell as if independent: shown for contrast, never claimed
 
@@ -199,18 +217,37 @@ def compare(
     if np.isfinite(ratio):
         bounds = interval(resamples.log_ratios(cells, reference))
         low, high = (float(np.exp(bound)) for bound in bounds)
-    testable = clusters.identities >= MIN_IDENTITIES
+    difference = _difference(mine, other)
+    by_source, by_target = clusters.source_means(difference), clusters.target_means(difference)
     return PairedComparison(
         n_pairs=clusters.count,
         ratio=ratio,
         ratio_low=low,
         ratio_high=high,
         win_rate=win_rate(mine, other),
-        effect=rank_biserial(mine, other),
-        p=wilcoxon(mine, other) if testable else float("nan"),
-        p_targets=wilcoxon(clusters.target_means(mine), clusters.target_means(other)) if testable else float("nan"),
-        p_naive=wilcoxon(pooled, pooled_reference) if testable else float("nan"),
+        effect=rank_biserial(difference, np.zeros_like(difference)),
+        p=_paired_p(clusters, difference),
+        p_sources=_paired_p(clusters, by_source),
+        p_targets=_paired_p(clusters, by_target),
+        p_naive=_paired_p(clusters, _difference(pooled, pooled_reference)),
     )
+
+
+def pair_p(cells: FloatArray, reference: FloatArray, clusters: Clusters) -> float:
+    """`PairedComparison.p` alone."""
+    return _paired_p(clusters, _difference(clusters.pair_means(cells), clusters.pair_means(reference)))
+
+
+def _difference(values: FloatArray, reference: FloatArray) -> FloatArray:
+    """log(values / reference), or values - reference where one is not positive."""
+    if (values > 0).all() and (reference > 0).all():
+        return np.asarray(np.log(values) - np.log(reference))
+    return np.asarray(values - reference)
+
+
+def _paired_p(clusters: Clusters, difference: FloatArray) -> float:
+    testable = clusters.identities >= MIN_IDENTITIES
+    return wilcoxon(difference, np.zeros_like(difference)) if testable else float("nan")
 
 
 def _multiplicities(rng: np.random.Generator, labels: IntArray, count: int) -> FloatArray:

@@ -10,14 +10,12 @@ import numpy as np
 import pandas as pd
 
 from reports.cells import CONDITIONS, Block, blocks, check_metrics
-from reports.statistics import Resamples, compare, geometric_mean_ratio, holm, interval, win_rate
+from reports.statistics import Resamples, compare, geometric_mean_ratio, holm, interval, pair_p, win_rate
 
 SUMMARY_COLUMNS = (
     "method", *CONDITIONS, "n_examples", "metric", "region", "mean", "median", "ci_low", "ci_high", "n_pairs",
     "n_failed", "ratio", "p_holm", "win_rate",
 )  # fmt: skip
-
-REFERENCE_ROWS = ("neutral", "projection_bound")  # no methods: they enter no test
 
 
 def summarise(
@@ -31,13 +29,15 @@ def summarise(
     """One row per method, conditions, example count, metric and region; columns SUMMARY_COLUMNS.
 
     mean, median   over one value per (source, target) pair: its mean over draws and expressions
-    ci_low, ci_high  95 % interval of the mean, resampling sources, targets and draws
+    ci_low, ci_high  nominal 95 % interval of the mean, resampling sources, targets and draws; empty below 3 people
     n_pairs        pairs with a cell that all compared methods finished; nothing else enters a mean
     n_failed       cells that this method failed or did not serve
     ratio          geometric mean over pairs of method / reference, for positive values
     win_rate       share of pairs where the method's value is smaller, for metrics that are never negative
-    p_holm         Wilcoxon signed-rank on pairs, Holm over the primary family (methods x example counts), for the
-                   primary metric and region of its members; else empty, as below 4 identities
+    p_holm         Wilcoxon signed-rank on the pairs' log ratios, Holm over the declared primary family (methods x
+                   example counts), for the primary metric and region of its members; else empty, as below 4 people
+
+    primary_family names methods, whether they were run or not, and no reference rows.
 
     Raises InvalidInput if the table lacks a column.
     """
@@ -62,15 +62,17 @@ def paired_tests(
     """Each method against the reference, per conditions and example count.
 
     Columns: method, CONDITIONS, n_examples, those of `statistics.PairedComparison`, and p_holm, corrected over all
-    methods and example counts of one set of conditions. A method without any result has n_pairs 0 and no values.
+    methods x the example counts of one set of conditions, whether they were run or not. A method without any result
+    has n_pairs 0 and no values; one that was not run has no row.
     """
+    family = tuple(name for name in dict.fromkeys(methods) if name != reference)
     found = []
     for block in blocks(metrics):
         if reference not in block.compared:
             continue
         resamples = block.resamples(seed)
-        for method in dict.fromkeys(methods):
-            if method in (reference, *REFERENCE_ROWS) or method not in block.methods:
+        for method in family:
+            if method not in block.methods:
                 continue
             if method not in block.compared:
                 found.append({**_labels(block, method), "n_pairs": 0})
@@ -84,12 +86,31 @@ def paired_tests(
             )
             found.append({**_labels(block, method), **asdict(comparison)})
     columns = ["method", *CONDITIONS, "n_examples", "n_pairs", "ratio", "ratio_low", "ratio_high", "win_rate",
-               "effect", "p", "p_targets", "p_naive"]  # fmt: skip
+               "effect", "p", "p_sources", "p_targets", "p_naive"]  # fmt: skip
     table = pd.DataFrame(found, columns=columns)
     table["p_holm"] = np.nan
-    for _, family in table.groupby(list(CONDITIONS), sort=False, dropna=False):
-        table.loc[family.index, "p_holm"] = holm(family["p"])
+    counts = metrics["n_examples"].nunique()
+    for _, tests in table.groupby(list(CONDITIONS), sort=False, dropna=False):
+        table.loc[tests.index, "p_holm"] = holm(tests["p"], len(family) * counts)
     return table
+
+
+def region_tests(metrics: pd.DataFrame, reference: str, methods: Sequence[str], metric: str) -> pd.DataFrame:
+    """Each method against the reference in each region: columns method, n_examples, region, and p on pairs, raw."""
+    found = [
+        (
+            method,
+            block.n_examples,
+            region,
+            pair_p(block.cells(method, metric, region), block.cells(reference, metric, region), block.clusters),
+        )
+        for block in blocks(metrics[metrics["metric"] == metric])
+        if reference in block.compared
+        for method in methods
+        if method in block.compared and method != reference
+        for region in block.rows["region"].unique()
+    ]
+    return pd.DataFrame(found, columns=["method", "n_examples", "region", "p"])
 
 
 def _summarise(block: Block, reference: str, seed: int) -> Iterator[dict[str, Any]]:

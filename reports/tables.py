@@ -12,7 +12,7 @@ from matplotlib.colors import to_hex
 
 from reports.colors import ERROR_COLORMAP
 from reports.load import StudyResults
-from reports.text import number, p_value, seconds
+from reports.text import bounds, number, p_value, seconds
 
 Row = dict[str, Any]
 
@@ -33,7 +33,7 @@ def summary_rows(study: StudyResults) -> list[Row]:
             cells.append(
                 {
                     "value": number(r["mean"]) if known else "no result",
-                    "interval": f"[{number(r['ci_low'])}, {number(r['ci_high'])}]" if known else "",
+                    "interval": bounds(r["ci_low"], r["ci_high"]) if known else "",
                     "ratio": number(r["ratio"], 2) if math.isfinite(r["ratio"]) else "",
                     "best": method.name == best[count],
                     "failed": int(r["n_failed"]),
@@ -88,15 +88,16 @@ def test_rows(study: StudyResults, tests: pd.DataFrame) -> list[Row]:
 def _test_row(study: StudyResults, r: Mapping[Any, Any]) -> Row:
     row: Row = {"count": int(r["n_examples"]), "label": study.label(r["method"]), "pairs": int(r["n_pairs"])}
     if not row["pairs"]:
-        nothing = dict.fromkeys(("ratio", "interval", "effect", "wins", "p", "p_targets", "p_naive"), "")
+        nothing = dict.fromkeys(("ratio", "interval", "effect", "wins", "p", "p_sources", "p_targets", "p_naive"), "")
         return row | nothing | {"adjusted": "no result"}
     return row | {
         "ratio": number(r["ratio"], 2),
-        "interval": f"[{number(r['ratio_low'], 2)}, {number(r['ratio_high'], 2)}]",
+        "interval": bounds(r["ratio_low"], r["ratio_high"], 2),
         "effect": number(r["effect"], 2),
         "wins": f"{100 * r['win_rate']:.0f} %",
         "p": p_value(r["p"]),
         "adjusted": p_value(r["adjusted"]),
+        "p_sources": p_value(r["p_sources"]),
         "p_targets": p_value(r["p_targets"]),
         "p_naive": p_value(r["p_naive"]),
     }
@@ -178,7 +179,7 @@ def _settings(settings: Any) -> Iterator[tuple[str, Any]]:
         if isinstance(value, dict):
             yield from ((f"{key}.{inner}", v) for inner, v in _settings(value))
         else:
-            yield key, value
+            yield key, "none" if value is None else value
 
 
 def _smallest(study: StudyResults, primary: pd.DataFrame, count: int) -> str | None:

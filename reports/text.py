@@ -18,11 +18,14 @@ def number(value: float, digits: int = 3) -> str:
 
 def estimate(value: float, low: float, high: float, digits: int = 3) -> str:
     """``0.123 [0.100, 0.150]``; `no result` for NaN."""
-    if not math.isfinite(value):
-        return "no result"
+    return f"{number(value, digits)} {bounds(low, high, digits)}" if math.isfinite(value) else "no result"
+
+
+def bounds(low: float, high: float, digits: int = 3) -> str:
+    """``[0.100, 0.150]``; a dash in brackets where there is no interval."""
     if not (math.isfinite(low) and math.isfinite(high)):
-        return number(value, digits)
-    return f"{number(value, digits)} [{number(low, digits)}, {number(high, digits)}]"
+        return "[\N{EN DASH}]"
+    return f"[{number(low, digits)}, {number(high, digits)}]"
 
 
 def p_value(p: float) -> str:

@@ -144,7 +144,7 @@ def write_example_study(
                 "label": name.replace("_", " "),
                 "description": f"What {name} does, in one sentence that is long enough to wrap in its column.",
                 "kind": "control" if name.endswith("residual") else "method" if name in METHODS else "reference",
-                "settings": {"_target_": f"baselines.{name}.Method", "regularisation": 1e-3, "patches": 80},
+                "settings": {"_target_": f"baselines.{name}.Method", "regularisation": 1e-3, "patch_count": None},
             }
             for name in (*METHODS, *REFERENCES)
         ],

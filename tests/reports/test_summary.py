@@ -11,7 +11,7 @@ import pytest
 
 from reports.cells import METRIC_COLUMNS
 from reports.statistics import holm, wilcoxon
-from reports.summary import SUMMARY_COLUMNS, paired_tests, summarise
+from reports.summary import SUMMARY_COLUMNS, paired_tests, region_tests, summarise
 from retarget.check import InvalidInput
 
 PEOPLE = ("a", "b", "c", "d")
@@ -68,17 +68,42 @@ def test_a_method_without_any_result_leaves_the_others_alone() -> None:
     assert rows.loc["delta", "p_holm"] < 0.05
 
 
-def test_holm_covers_methods_and_counts_but_no_reference_rows() -> None:
+def test_holm_covers_methods_and_counts_but_not_the_reference() -> None:
     metrics = _metrics({"plbs": 1.0, "lbs": 1.3, "delta": 0.9, "neutral": 5.0}, counts=(5, 15))
     rng = np.random.default_rng(0)
     metrics["value"] *= np.exp(0.5 * rng.normal(size=len(metrics)))
-    tests: Any = paired_tests(metrics, "plbs", ["lbs", "delta", "plbs", "neutral"])
+    tests: Any = paired_tests(metrics, "plbs", ["lbs", "delta", "plbs"])
     assert set(tests["method"]) == {"lbs", "delta"}
     assert len(tests) == 4
     np.testing.assert_allclose(tests["p_holm"], holm(tests["p"]))
     first: Any = metrics[(metrics["n_examples"] == 5)].groupby(["method", "source", "target"])["value"].mean()
-    expected = wilcoxon(first["lbs"].to_numpy(), first["plbs"].to_numpy())
+    expected = wilcoxon(np.log(first["lbs"]).to_numpy(), np.log(first["plbs"]).to_numpy())
     assert tests.set_index(["method", "n_examples"]).loc[("lbs", 5), "p"] == pytest.approx(expected)
+
+
+def test_a_member_that_was_not_run_still_counts() -> None:
+    metrics = _metrics({"plbs": 1.0, "lbs": 1.3}, counts=(5, 15))
+    alone, among = (paired_tests(metrics, "plbs", family) for family in (["lbs"], ["lbs", "delta", "other"]))
+    assert list(among["method"]) == ["lbs", "lbs"]
+    np.testing.assert_allclose(among["p_holm"], holm(alone["p"], 6))
+    assert (among["p_holm"] == 3 * alone["p_holm"]).all()
+
+
+def test_region_tests_are_those_of_the_full_analysis() -> None:
+    rng = np.random.default_rng(2)
+    metrics = _metrics({"plbs": 1.0, "lbs": 1.1, "delta": 0.9}, counts=(5, 15))
+    metrics = pd.concat([metrics, metrics.assign(region="lips")], ignore_index=True)
+    metrics["value"] *= np.exp(0.5 * rng.normal(size=len(metrics)))
+    methods = ["plbs", "lbs", "delta"]
+    found = region_tests(metrics, "plbs", methods, "vertex_l2_mean")
+    keys = ["method", "n_examples", "region"]
+    full = [
+        paired_tests(metrics, "plbs", methods, region=region)[["method", "n_examples", "p"]].assign(region=region)
+        for region in ("head", "lips")
+    ]
+    one, two = (table.set_index(keys)["p"].sort_index() for table in (found, pd.concat(full)))
+    assert len(one) == 8
+    pd.testing.assert_series_equal(one, two)
 
 
 def test_rows_do_not_depend_on_the_order_of_the_input() -> None:

@@ -48,4 +48,4 @@ def test_numbers() -> None:
     assert seconds(0.9, 1.2) == "0.9 – 1.2 s"
     assert seconds(4000) == "4000 s"
     assert estimate(1, 0.5, 2) == "1.000 [0.500, 2.000]"
-    assert [estimate(nan, 1, 2), estimate(1, nan, nan)] == ["no result", "1.000"]
+    assert [estimate(nan, 1, 2), estimate(1, nan, nan)] == ["no result", "1.000 [–]"]
