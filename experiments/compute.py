@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from rich.console import Console
 
 from experiments.backend import Backend
@@ -12,7 +15,8 @@ from experiments.progress import duration, progress
 
 def compute(planned: Plan, backend: Backend, console: Console) -> None:
     """Compute the cells that have no current record."""
-    missing = [cell for cell in planned.cells if planned.finished(cell) is None]
+    headers = {cell.id: planned.finished(cell) for cell in planned.cells}
+    missing = [cell for cell in planned.cells if headers[cell.id] is None]
     pairs = len({(cell.source, cell.target) for cell in planned.cells})
     reused = len(planned.cells) - len(missing)
     console.print(
@@ -20,17 +24,17 @@ def compute(planned: Plan, backend: Backend, console: Console) -> None:
         f"{list(planned.study.n_examples)} examples x {planned.study.draws} draws = {len(planned.cells)} cells"
         + (f", {reused} of them finished earlier" if reused else "")
     )
-    console.print(f"estimated time: {_estimate(planned, missing)}")
+    console.print(f"estimated time: {_estimate(planned, missing, headers)}")
     with progress(console, "cells", len(missing)) as advance:
         for done in backend.run(evaluate_pair, planned.tasks(missing)):
             advance(done)
 
 
-def _estimate(planned: Plan, missing: list[Cell]) -> str:
+def _estimate(planned: Plan, missing: list[Cell], headers: Mapping[str, Mapping[str, Any] | None]) -> str:
     """From the cells of this study that have been computed on this machine before."""
     seconds: dict[str, list[float]] = {}
     for cell in planned.cells:
-        header = planned.finished(cell)
+        header = headers[cell.id]
         if header is not None and header["fit_seconds"] is not None:
             per_frame = header["seconds_per_expression"] * planned.study.test_expressions
             seconds.setdefault(cell.row.name, []).append(header["fit_seconds"] + per_frame)
