@@ -26,7 +26,7 @@ from reports.load import StudyResults, load
 from reports.statistics import REPLICATES, benjamini_hochberg
 from reports.summary import paired_tests, region_tests
 from reports.text import estimate
-from retarget.check import InvalidInput
+from retarget.io.files import write_whole
 
 _TEMPLATE = Path(__file__).with_name("template.typ")
 _SIGNIFICANT = 0.05
@@ -48,7 +48,7 @@ def build_report(
         content = describe(studies, work, progress)
         progress("typesetting")
         pdf = cast(bytes, typeset(content, work))
-    _write_whole(path, pdf)
+    write_whole(path, lambda temporary: temporary.write_bytes(pdf))
     return path
 
 
@@ -202,20 +202,6 @@ def _overview(studies: Sequence[StudyResults]) -> dict[str, Any] | None:
 def _default_output(studies: Sequence[StudyResults]) -> Path:
     parents = [study.folder.resolve() for study in studies]
     return Path(os.path.commonpath(parents)) / "report.pdf" if len(parents) > 1 else studies[0].folder / "report.pdf"
-
-
-def _write_whole(path: Path, content: bytes) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(content)
-        temporary.replace(path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True) if path.parent.is_dir() else None
-        raise InvalidInput(
-            f"{path}: the report cannot be written ({error.strerror or error}). Nothing was overwritten; free some "
-            "space, make the folder writable, or choose another output."
-        ) from error
 
 
 def _time(text: str) -> datetime:
