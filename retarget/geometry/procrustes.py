@@ -1,4 +1,4 @@
-"""Rigid alignment of corresponding points (Kabsch 1976, with the determinant sign of Umeyama 1991)."""
+"""Rigid and similarity alignment of corresponding points (Kabsch 1976; Umeyama 1991)."""
 
 from __future__ import annotations
 
@@ -32,3 +32,16 @@ def rigid_align(moving: FloatArray, fixed: FloatArray) -> tuple[FloatArray, Floa
         )
     rotation = u @ np.diag([1.0, 1.0, sign]) @ vt
     return rotation, fixed_mean - rotation @ moving_mean
+
+
+def similarity_align(moving: FloatArray, fixed: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """Scale s, rotation R (3, 3) and translation t (3,) in mm that minimise || s * moving @ R.T + t - fixed ||^2.
+
+    Umeyama (1991), eqs (40) to (42): s = tr(D Sigma) / variance of `moving`. Raises InvalidInput as `rigid_align`.
+    """
+    rotation, _ = rigid_align(moving, fixed)
+    moving_mean, fixed_mean = moving.mean(axis=0), fixed.mean(axis=0)
+    centred = moving - moving_mean
+    # With the best rotation, tr(D Sigma) is the inner product of the rotated and the fixed points.
+    scale = float(np.vdot(centred @ rotation.T, fixed - fixed_mean) / np.vdot(centred, centred))
+    return scale, rotation, fixed_mean - scale * rotation @ moving_mean

@@ -1,0 +1,118 @@
+"""The rigid motions of cranium and jaw (section 3.3.2: inverse simulation step 1, forward simulation step 1)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from retarget.anatomy.head import Head
+from retarget.check import InvalidInput, check_vertices
+from retarget.geometry.procrustes import rigid_align
+from retarget.simulation.state import Bones, RigidMotion
+from retarget.types import FloatArray
+
+CRANIUM_ANGLE = 1.0  # degrees of global rigid motion left in an expression
+CRANIUM_SHIFT = 1.0  # mm, mean over the set `cranium`
+# Jaws open 48.8 mm between the incisors on average, with condyles that slide 15 to 20 mm forward; the limits leave
+# room for large jaws and for the noise of a fit to skin.
+JAW_ANGLE = 45.0  # degrees
+JAW_OPENING = 80.0  # mm at the lower incisors
+CONDYLE_SHIFT = 35.0  # mm
+
+
+def pivot(head: Head) -> FloatArray:
+    """(3,) mm: the middle of the jaw joints, about which both bones turn.
+
+    Where the axis of the joints meets the median plane a jaw that merely opens has no translation, so that scaling
+    translations from head to head scales the slide of the joint and leaves the hinge alone.
+    """
+    middle: FloatArray = head.condyles.mean(axis=0)
+    return middle
+
+
+def fit_bones(head: Head, skin: FloatArray) -> Bones:
+    """The motions that take the skin over cranium and jaw from rest to `skin` (n, 3) mm, each fitted by itself.
+
+    Raises InvalidInput for skin that is not stabilised: the set `cranium`, which no expression moves, turns by more
+    than 1 degree or is displaced by more than 1 mm on average. `cranium_skin`, from which the bone is fitted, is the
+    wider set and moves a little with brows and cheeks. Raises it as well for a jaw that opens further than jaws can.
+    """
+    skin = check_vertices("expression", skin, len(head.skin))
+    check_stabilised(head, skin)
+    cranium, jaw = (_fit(head, skin, name) for name in ("cranium_skin", "jaw_skin"))
+    _check_jaw(head, cranium, jaw)
+    return Bones(cranium, jaw)
+
+
+def check_stabilised(head: Head, skin: FloatArray) -> None:
+    """Raises InvalidInput if `skin` (n, 3) mm moves the cranium by more than 1 degree or 1 mm against the neutral."""
+    motion = _fit(head, skin, "cranium")
+    still = head.skin[head.template.regions.vertices["cranium"]].mean(axis=0)
+    degrees, shift = rotation_angle(motion.rotation), float(np.linalg.norm(motion(still) - still))
+    if degrees > CRANIUM_ANGLE or shift > CRANIUM_SHIFT:
+        raise InvalidInput(
+            f"expression: expected a head that keeps still, but its cranium turns by {degrees:.2f} degrees and moves "
+            f"by {shift:.2f} mm against the neutral (allowed are {CRANIUM_ANGLE:g} and {CRANIUM_SHIFT:g}). "
+            "Remove the global rigid motion first, by a rigid alignment on the cranium."
+        )
+
+
+def rotation_angle(rotation: FloatArray) -> float:
+    """Degrees that a rotation (3, 3) turns by."""
+    axial = 0.5 * np.array(
+        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+    )
+    return float(np.degrees(np.arctan2(np.linalg.norm(axial), 0.5 * (np.trace(rotation) - 1))))
+
+
+def bounding_box_diameter(skin: FloatArray) -> float:
+    """BB: the diagonal in mm of the bounding box of vertices (n, 3) mm."""
+    return float(np.linalg.norm(np.ptp(skin, axis=0)))
+
+
+def size_ratio(source: FloatArray, target: FloatArray) -> float:
+    """BB(T) / BB(S) of two neutral skins (n, 3) mm: what translations of bones are scaled by."""
+    return bounding_box_diameter(target) / bounding_box_diameter(source)
+
+
+def carry_bones(head: Head, bones: Bones, scale: float = 1.0) -> Bones:
+    """The motions of another head's bones on this one: same rotations about its own pivot, translations scaled."""
+    here = pivot(head)
+    cranium, jaw = (RigidMotion(m.rotation, scale * m.translation, here) for m in (bones.cranium, bones.jaw))
+    return Bones(cranium, jaw)
+
+
+def place_bones(head: Head, bones: Bones, scale: float = 1.0) -> FloatArray:
+    """(c, 3) mm: where the vertices ``head.template.fixed`` go, in that order, with the motions of `carry_bones`."""
+    template = head.template
+    carried = carry_bones(head, bones, scale)
+    moved = head.vertices.copy()
+    moved[template.cranium] = carried.cranium(head.vertices[template.cranium])
+    moved[template.jaw] = carried.jaw(head.vertices[template.jaw])
+    return moved[template.fixed]
+
+
+def _fit(head: Head, skin: FloatArray, name: str) -> RigidMotion:
+    members = head.template.regions.vertices.get(name, np.empty(0, dtype=np.int64))
+    if len(members) < 3:
+        raise InvalidInput(
+            f"regions: expected at least 3 vertices in vertices[{name!r}], got {len(members)}; "
+            "docs/regions.md says what the name means. Add it to the topology's regions."
+        )
+    rotation, translation = rigid_align(head.skin[members], skin[members])
+    centre = pivot(head)
+    return RigidMotion(rotation, translation + rotation @ centre - centre, centre)
+
+
+def _check_jaw(head: Head, cranium: RigidMotion, jaw: RigidMotion) -> None:
+    """Raises InvalidInput if the jaw's motion relative to the cranium is beyond what joints allow."""
+    rotation = cranium.rotation.T @ jaw.rotation
+    marks = head.template.regions.landmarks
+    incisors = head.skin[marks["infradentale"]] if "infradentale" in marks else jaw.pivot  # in the median plane
+    opened, slid = (float(np.linalg.norm(jaw(p) - cranium(p))) for p in (incisors, jaw.pivot))
+    degrees = rotation_angle(rotation)
+    if degrees > JAW_ANGLE or opened > JAW_OPENING or slid > CONDYLE_SHIFT:
+        raise InvalidInput(
+            f"expression: expected a jaw that opens as jaws can, but it turns by {degrees:.1f} degrees, moves the "
+            f"incisors by {opened:.1f} mm and the joints by {slid:.1f} mm (allowed are {JAW_ANGLE:g}, {JAW_OPENING:g} "
+            f"and {CONDYLE_SHIFT:g}). Check unit and scale of the mesh, or reduce the expression's strength."
+        )
