@@ -1,0 +1,146 @@
+"""Collisions between upper and lower lip (section 3.3.2, forward simulation step 3; after Komaritzan et al. 2021)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numba import njit
+from numpy.typing import NDArray
+
+from retarget.check import InvalidInput
+from retarget.types import FloatArray, IntArray, Regions
+
+TRIGGER = 0.05  # mm: shallower contacts are left alone, and those that are deeper in the neutral are no contacts
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Skin points inside of the other lip, each with the point of that lip's surface straight below or above it."""
+
+    points: IntArray  # (k,)
+    triangles: IntArray  # (k, 3) vertices of the triangle that holds the other point
+    barycentric: FloatArray  # (k, 3)
+    depth: FloatArray  # (k,) mm, vertical
+
+    @property
+    def count(self) -> int:
+        return len(self.points)
+
+    @property
+    def deepest(self) -> float:
+        """mm; 0 without contacts."""
+        return float(self.depth.max(initial=0.0))
+
+    def rows(self, n: int) -> sp.csr_array:
+        """(2 k, n): each point and its counterpart in turn, of vertices (n, 3)."""
+        k = self.count
+        index = np.concatenate([2 * np.arange(k), np.repeat(2 * np.arange(k) + 1, 3)])
+        columns = np.concatenate([self.points, self.triangles.ravel()])
+        weights = np.concatenate([np.ones(k), self.barycentric.ravel()])
+        return sp.csr_array((weights, (index, columns)), shape=(2 * k, n))
+
+    def averages(self, skin: FloatArray) -> FloatArray:
+        """(k, 3) mm: the average position of point and counterpart, on skin (n, 3) mm."""
+        counterparts = np.einsum("kc,kci->ki", self.barycentric, skin[self.triangles])
+        return 0.5 * (skin[self.points] + counterparts)
+
+    def kept(self, others: Contacts) -> NDArray[np.bool_]:
+        """(k,) which contacts have a point that is in no contact of `others`."""
+        return ~np.isin(self.points, others.points)
+
+    def where(self, chosen: NDArray[np.bool_]) -> Contacts:
+        """The contacts with a flag (k,)."""
+        return Contacts(self.points[chosen], self.triangles[chosen], self.barycentric[chosen], self.depth[chosen])
+
+    def and_(self, others: Contacts) -> Contacts:
+        """Both sets, in this order."""
+        return Contacts(
+            np.concatenate([self.points, others.points]),
+            np.concatenate([self.triangles, others.triangles]),
+            np.concatenate([self.barycentric, others.barycentric]),
+            np.concatenate([self.depth, others.depth]),
+        )
+
+
+NO_CONTACTS = Contacts(np.empty(0, np.int64), np.empty((0, 3), np.int64), np.empty((0, 3)), np.empty(0))
+
+
+class Lips:
+    """The two lips of a skin, and where they have passed each other.
+
+    A point of the lower lip is inside of the upper one if the first triangle of the upper lip straight below it faces
+    down; the other way round for points of the upper lip. # differs from the paper: it looks at points of the lower
+    lip alone, which leaves points of the upper lip inside where the lower lip is meshed more coarsely.
+    Vertices that both lips hold are the corners of the mouth and no candidates, nor are points inside at rest.
+    """
+
+    def __init__(self, rest: FloatArray, faces: IntArray, regions: Regions) -> None:
+        """rest: neutral skin (n, 3) mm. Raises InvalidInput if `upper_lip` or `lower_lip` is missing."""
+        parts = [np.asarray(regions.vertices.get(name, ()), dtype=np.int64) for name in ("upper_lip", "lower_lip")]
+        for name, part in zip(("upper_lip", "lower_lip"), parts, strict=True):
+            if not len(part):
+                raise InvalidInput(
+                    f"regions: expected vertices[{name!r}] for lip collisions, got none; add it to the topology's "
+                    "regions, or switch collisions off."
+                )
+        upper, lower = parts
+        corners = np.intersect1d(upper, lower)
+        self.vertices: IntArray = np.union1d(upper, lower)
+        self._upper_faces = np.ascontiguousarray(faces[np.isin(faces, upper).all(axis=1)])
+        self._lower_faces = np.ascontiguousarray(faces[np.isin(faces, lower).all(axis=1)])
+        self._upper, self._lower = np.setdiff1d(upper, corners), np.setdiff1d(lower, corners)
+        inside = self.contacts(rest).points
+        self._upper, self._lower = np.setdiff1d(self._upper, inside), np.setdiff1d(self._lower, inside)
+
+    def contacts(self, skin: FloatArray, trigger: float = TRIGGER) -> Contacts:
+        """All points of skin (n, 3) mm that are deeper than `trigger` mm in the other lip."""
+        x = np.ascontiguousarray(skin, dtype=np.float64)
+        below = _passed(x, self._lower, self._upper_faces, 1.0, trigger)
+        above = _passed(x, self._upper, self._lower_faces, -1.0, trigger)
+        return Contacts(*(np.concatenate(pair) for pair in zip(below, above, strict=True)))
+
+
+@njit(cache=True)
+def _passed(x, points, faces, up, trigger):  # type: ignore[no-untyped-def]
+    """Points that went `up` (1 or -1) through the surface: index, triangle, barycentric coordinates and depth."""
+    low, high = np.empty((len(faces), 2)), np.empty((len(faces), 2))
+    for f in range(len(faces)):
+        for i in range(2):
+            a, b, c = x[faces[f, 0], 2 * i], x[faces[f, 1], 2 * i], x[faces[f, 2], 2 * i]
+            low[f, i], high[f, i] = min(a, b, c), max(a, b, c)
+    found = np.empty(len(points), np.int64)
+    triangle, coordinates, depths = (
+        np.empty((len(points), 3), np.int64),
+        np.empty((len(points), 3)),
+        np.empty(len(points)),
+    )
+    count = 0
+    for k in range(len(points)):
+        px, py, pz = x[points[k], 0], x[points[k], 1], x[points[k], 2]
+        nearest, entered = np.inf, False
+        for f in range(len(faces)):
+            if px < low[f, 0] or px > high[f, 0] or pz < low[f, 1] or pz > high[f, 1]:
+                continue
+            a, b, c = faces[f]
+            ux, uz = x[b, 0] - x[a, 0], x[b, 2] - x[a, 2]
+            vx, vz = x[c, 0] - x[a, 0], x[c, 2] - x[a, 2]
+            normal = uz * vx - ux * vz  # vertical component of the normal
+            if normal == 0:
+                continue
+            wx, wz = px - x[a, 0], pz - x[a, 2]
+            s = (wz * vx - wx * vz) / normal
+            t = (uz * wx - ux * wz) / normal
+            if s < -1e-9 or t < -1e-9 or s + t > 1 + 1e-9:
+                continue
+            r = 1 - s - t
+            depth = up * (py - (r * x[a, 1] + s * x[b, 1] + t * x[c, 1]))
+            if 0 <= depth < nearest:
+                nearest, entered = depth, up * normal < 0
+                triangle[count, 0], triangle[count, 1], triangle[count, 2] = a, b, c
+                coordinates[count, 0], coordinates[count, 1], coordinates[count, 2] = r, s, t
+        if entered and nearest > trigger:
+            found[count], depths[count] = points[k], nearest
+            count += 1
+    return found[:count], triangle[:count], coordinates[:count], depths[:count]

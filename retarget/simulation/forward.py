@@ -1,0 +1,228 @@
+"""The forward simulation fwdSim of eq. (10): deformation gradients, bones and characteristics applied to a head.
+
+Minimised, lengths in mm and volumes V_t in cm^3, as a number without dimension, over the vertices that no bone holds:
+
+    E(x) =  sum_t w_t V_t ||F_t - DG_t||^2                                     eqs (18), (A.5), (A.6)
+          + w_lc sum_k ||(P x + r)_k - F_lc,k||^2 / (10 mm)^2                   eq. (A.4)
+          + sum_f w_f A_f min { ||F_f - D||^2 : area of D as wanted }           eqs (A.2), (A.3), see `area_terms`
+          + sum_h w_h ||handle_h - target_h||^2 / (10 mm)^2  -  sum_v V_v g . x_v   artistic control
+
+Everything but the tissue acts on a few hundred points of the skin, so the system is condensed to them.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from retarget.anatomy.head import Head
+from retarget.check import InvalidInput, check_vertices
+from retarget.simulation.bones import carry_bones, place_bones
+from retarget.simulation.characteristics import Characteristics
+from retarget.simulation.collisions import NO_CONTACTS, Lips
+from retarget.simulation.condensed import CondensedSolution, CondensedSystem, SoftProblem, SoftRows, SoftSystem
+from retarget.simulation.factor import factorise
+from retarget.simulation.gradient_energy import GradientEnergy
+from retarget.simulation.soft_terms import NONE, Goals, Handles, SoftTerms, SoftWeights, handle_points
+from retarget.simulation.state import Bones, HeadState
+from retarget.simulation.tetrahedra import rest_shape
+from retarget.types import FloatArray, SolveInfo, Status
+
+
+@dataclass(frozen=True)
+class ForwardSettings:
+    """Weights of eqs (18) and (A.1), and tolerances."""
+
+    w_soft: float = 1.0  # w_nabla-S of Table 3
+    w_muscle: float = 1.0  # w_nabla-M of Table 3
+    w_lip_contour: float = 10.0  # w_F of Table 3
+    w_eye_opening: float = 100.0  # differs from the paper: w_F has another unit here, see `area_terms`
+    w_eye_socket: float = 100.0
+    area_tolerance: float = 1e-5  # rms change of the triangles' gradients in one iteration
+    area_iterations: int = 200
+    collisions: bool = True  # step 3
+    collision_stiffness: float = 1e3  # of a contact, relative to that of the lips at one point
+    collision_rounds: int = 10
+    backend: str = "cholespy"
+
+    def __post_init__(self) -> None:
+        weights = self.w_soft, self.w_muscle, self.w_lip_contour, self.w_eye_opening, self.w_eye_socket
+        if not (min(weights[:2]) > 0 and min(weights) >= 0 and np.isfinite(weights).all()):
+            raise InvalidInput(f"ForwardSettings: expected w_soft, w_muscle > 0 and all weights >= 0, got {weights}.")
+        if not (self.collision_stiffness > 0 and self.collision_rounds >= 1):
+            raise InvalidInput("ForwardSettings: expected collision_stiffness > 0 and collision_rounds >= 1.")
+        if not (self.area_iterations >= 1 and self.area_tolerance > 0):
+            raise InvalidInput("ForwardSettings: expected area_iterations >= 1 and area_tolerance > 0.")
+
+
+@dataclass(frozen=True)
+class LipReport:
+    """What became of lip collisions."""
+
+    before: float = 0.0  # mm, deepest contact of the first run
+    after: float = 0.0  # mm, deepest contact left
+    contacts: int = 0  # skin points held
+    rounds: int = 0  # further runs
+
+
+@dataclass(frozen=True)
+class ForwardState(HeadState):
+    """The result of a forward simulation; `info.energy` is that of the last run, at its start and per iteration."""
+
+    lips: LipReport = LipReport()
+
+
+class ForwardSimulation:
+    """fwdSim of eq. (10) for one head, with everything made that does not depend on the expression."""
+
+    def __init__(self, head: Head, settings: ForwardSettings | None = None, stiffness: ArrayLike = 1.0) -> None:
+        """stiffness: factors (t,) > 0 of the tets' weights, or one number; see `materials.region_stiffness`.
+
+        Raises InvalidInput for regions that do not fit, NotPositiveDefinite if no bone holds the head.
+        """
+        self.head, self.settings = head, settings or ForwardSettings()
+        template, rules = head.template, self.settings
+        self.shape = rest_shape(head.vertices, template.tets)
+        factors = np.broadcast_to(np.asarray(stiffness, dtype=np.float64), self.shape.volumes.shape)
+        if not (np.isfinite(factors).all() and (factors > 0).all()):
+            raise InvalidInput(f"stiffness: expected finite numbers > 0, one or one for each of {len(factors)} tets.")
+        weights = self.shape.volumes * np.where(template.muscle, rules.w_muscle, rules.w_soft) * factors
+        self._tissue = GradientEnergy(self.shape, weights)
+        corners = np.repeat(self.shape.volumes / 4, 4)
+        self._mass = np.bincount(template.tets.ravel(), corners, len(head.vertices))[:, None]  # cm^3
+        self._fixed = template.fixed
+        self._free = np.setdiff1d(np.arange(len(head.vertices)), self._fixed)
+        self._lips = Lips(head.skin, template.faces, template.regions) if rules.collisions else None
+        parts = SoftWeights(rules.w_lip_contour, rules.w_eye_opening, rules.w_eye_socket)
+        self._terms = SoftTerms(head, parts, self._lips.vertices if self._lips else NONE)
+        self._points, self._offset = self._terms.points, self._terms.offset
+        self._handles = SoftRows.stack([], self._points.shape[0])
+
+        matrix = self._tissue.matrix()
+        self._from_fixed = matrix[self._free][:, self._fixed]
+        factor = factorise(matrix[self._free][:, self._free], "forward simulation", rules.backend)
+        self._system = self._without_handles = CondensedSystem(factor, self._points[:, self._free])
+        self._soft: dict[tuple[str, ...], SoftSystem] = {}
+
+    def with_handles(self, handles: Handles) -> ForwardSimulation:
+        """The same simulation with these handles in place of any others. Nothing is factorised again.
+
+        Raises InvalidInput for indices and weights that do not fit.
+        """
+        rows, offset, weights = handle_points(self.head, handles)
+        first = len(self._terms.skin)
+        new = copy.copy(self)
+        new._points = sp.csr_array(sp.vstack([self._terms.points, rows]))
+        new._offset = np.vstack([self._terms.offset, offset])
+        new._system = self._without_handles.with_points(rows[:, self._free])
+        pick = sp.eye_array(first + handles.count, format="csr")[first:]
+        new._handles = SoftRows(pick, weights)
+        new._soft = {}
+        return new
+
+    def __call__(
+        self,
+        gradients: FloatArray,
+        bones: Bones,
+        scale: float = 1.0,
+        characteristics: Characteristics | None = None,
+        handles: FloatArray | None = None,
+        gravity: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> ForwardState:
+        """Apply gradients (t, 3, 3) and the motions of bones, translations times `scale` = BB(T) / BB(S).
+
+        handles: (h, 3) mm, where those of `with_handles` should go; without it they are loose.
+        gravity: (3,) in 1/mm, a *change*, from `materials.weight_change`: the gradients are an equilibrium that
+        contains the weight under which the expression was recorded.
+        Raises InvalidInput for what does not fit or is not finite.
+        """
+        wanted = self._check_gradients(gradients)
+        moved = np.empty_like(self.head.vertices)
+        moved[self._fixed] = place_bones(self.head, bones, scale)  # section 3.3.2, forward simulation, step 1
+        load = self._tissue.divergence(wanted) + 0.5 * self._mass * np.asarray(gravity, dtype=np.float64)
+        rhs = load[self._free] - self._from_fixed @ moved[self._fixed]
+        if not np.isfinite(rhs).all():
+            raise InvalidInput("forward simulation: expected finite gradients, bones and gravity, got NaN or infinity.")
+        moved[self._free] = self._system.free(rhs)
+
+        goals = self._terms.goals(characteristics or Characteristics())
+        targets = goals.targets
+        if handles is not None:
+            targets = np.vstack([targets, check_vertices("handles", handles, len(self._handles.weights))])
+        problem = SoftProblem(self._points @ moved + self._offset, targets, goals.ratios)
+        soft = self._soft_system(goals, handles is not None)
+        solution, lips = self._solve(soft, problem), LipReport()  # step 2
+        if self._lips:
+            solution, lips = self._resolve(self._lips, soft, problem, solution)  # step 3
+        if solution.forces.any():
+            moved[self._free] += self._system.pulled(solution.forces)
+        return self._state(moved, wanted, carry_bones(self.head, bones, scale), solution, lips)
+
+    def _check_gradients(self, gradients: FloatArray) -> FloatArray:
+        wanted = np.asarray(gradients, dtype=np.float64)
+        if wanted.shape != (len(self.shape.tets), 3, 3):
+            raise InvalidInput(
+                f"gradients: expected ({len(self.shape.tets)}, 3, 3), one for each tet of the template both heads "
+                f"share, got {wanted.shape}."
+            )
+        return wanted
+
+    def _soft_system(self, goals: Goals, handles: bool) -> SoftSystem:
+        """The dense system of the terms in use; made when a combination is met first."""
+        key = (*goals.active, "handles") if handles else goals.active
+        if key not in self._soft:
+            count = len(self._offset)
+            fixed, areas = self._terms.rows(goals)
+            fixed = SoftRows.stack([fixed, self._handles] if handles else [fixed], count)
+            self._soft[key] = SoftSystem(self._system.compliance, fixed, SoftRows.stack([areas], count))
+        return self._soft[key]
+
+    def _solve(self, soft: SoftSystem, problem: SoftProblem) -> CondensedSolution:
+        return soft.solve(problem, self.settings.area_iterations, self.settings.area_tolerance)
+
+    def _resolve(
+        self, lips: Lips, soft: SoftSystem, problem: SoftProblem, solution: CondensedSolution
+    ) -> tuple[CondensedSolution, LipReport]:
+        """Detect contacts, hold both sides at their average position and solve again, until none is left.
+
+        A contact that is found again, as its lip slid on, is held anew.
+        """
+        rules, compliance = self.settings, self._system.compliance
+        weight = rules.collision_stiffness / np.mean(np.diag(compliance)[self._terms.place[lips.vertices]])
+        skin = np.zeros_like(self.head.skin)
+        held, averages, deepest = NO_CONTACTS, np.empty((0, 3)), []
+        for _ in range(rules.collision_rounds + 1):
+            skin[self._terms.skin] = (problem.points + compliance @ solution.forces)[: len(self._terms.skin)]
+            found = lips.contacts(skin)
+            deepest.append(found.deepest)
+            if not found.count or len(deepest) > rules.collision_rounds:
+                break
+            stay = held.kept(found)
+            held, averages = held.where(stay).and_(found), np.vstack([averages[stay], found.averages(skin)])
+            rows = SoftRows(held.rows(len(skin))[:, self._terms.skin], np.full(2 * held.count, weight))
+            fixed = SoftRows.stack([soft.fixed, rows], len(self._offset))
+            targets = np.vstack([problem.targets, np.repeat(averages, 2, axis=0)])
+            solution = self._solve(SoftSystem(compliance, fixed, soft.areas), replace(problem, targets=targets))
+        return solution, LipReport(deepest[0], deepest[-1], held.count, len(deepest) - 1)
+
+    def _state(
+        self, moved: FloatArray, wanted: FloatArray, bones: Bones, solution: CondensedSolution, lips: LipReport
+    ) -> ForwardState:
+        head = self.head
+        tissue, gradients = self._tissue(moved, wanted)
+        if not np.isfinite(tissue) or solution.status is Status.FAILED:
+            rest = np.broadcast_to(np.eye(3), gradients.shape).copy()
+            info = SolveInfo(Status.FAILED, 0, (), "the result is not finite")
+            return ForwardState(head.vertices.copy(), head.skin.copy(), rest, bones, info)
+        free = tissue - float(np.vdot(solution.forces, self._system.compliance @ solution.forces))  # of x0
+        energy = tuple(free + e for e in solution.energy)
+        message = ""
+        if lips.rounds:
+            message = f"lips: {lips.contacts} contacts up to {lips.before:.2f} mm deep, {lips.after:.2f} mm left"
+        skin = head.template.embedding @ moved + head.residual
+        info = SolveInfo(solution.status, max(len(energy) - 1, 1), energy, message)
+        return ForwardState(moved, skin, gradients, bones, info, lips)

@@ -1,0 +1,100 @@
+"""The quadratic energy that draws deformation gradients to given ones: eqs (A.5) and (A.6)."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from numba import njit, prange
+
+from retarget.simulation.tetrahedra import RestShape, gradient_operator
+from retarget.types import FloatArray
+
+CHUNKS = 8  # fixed, so that sums have one order whatever the number of threads
+
+
+class GradientEnergy:
+    """E(x) = sum_t w_t ||F_t(x) - D_t||_F^2 = x^T A x - 2 x^T G^T W D + const, for weights (t,) with volumes."""
+
+    def __init__(self, shape: RestShape, weights: FloatArray) -> None:
+        self.shape, self.weights = shape, np.ascontiguousarray(weights, dtype=np.float64)
+        order = np.argsort(shape.tets.min(axis=1), kind="stable")  # neighbours in memory are neighbours in a chunk
+        tets = shape.tets[order]
+        self._order = order.astype(np.uint32)
+        self._tets = np.ascontiguousarray(tets, dtype=np.uint32)
+        self._inverse = np.ascontiguousarray(shape.inverse[order]).reshape(-1, 9)
+        self._weights = self.weights[order]
+        self._bounds = np.linspace(0, len(tets), CHUNKS + 1).astype(np.int64)
+        chunks = [tets[a:b] for a, b in zip(self._bounds[:-1], self._bounds[1:], strict=True)]
+        self._ranges = np.array([(c.min(), c.max() + 1) if len(c) else (0, 0) for c in chunks], dtype=np.int64)
+        self._parts = np.empty((CHUNKS, len(shape.vertices), 3))
+
+    def matrix(self) -> sp.csr_array:
+        """A = G^T W G (n, n), half the energy's second derivative; one block for all three coordinates."""
+        gradient = gradient_operator(self.shape)
+        return sp.csr_array(gradient.T @ sp.diags_array(np.repeat(self.weights, 3)) @ gradient)
+
+    def divergence(self, targets: FloatArray) -> FloatArray:
+        """G^T W D (n, 3) for targets D (t, 3, 3). Not re-entrant: calls share one buffer."""
+        wanted = np.ascontiguousarray(targets, dtype=np.float64).reshape(-1, 9)
+        total = np.empty((len(self.shape.vertices), 3))
+        _scatter(self._tets, self._inverse, self._weights, self._order, wanted, self._bounds, self._ranges, self._parts)
+        _gather(self._parts, self._ranges, total)
+        return total
+
+    def __call__(self, vertices: FloatArray, targets: FloatArray) -> tuple[float, FloatArray]:
+        """E and the gradients F (t, 3, 3) at vertices (n, 3) mm, for targets D (t, 3, 3)."""
+        x = np.ascontiguousarray(vertices, dtype=np.float64)
+        wanted = np.ascontiguousarray(targets, dtype=np.float64).reshape(-1, 9)
+        gradients, energies = np.empty_like(wanted), np.zeros(CHUNKS)
+        _evaluate(x, self._tets, self._inverse, self._weights, self._order, wanted, self._bounds, gradients, energies)
+        return float(energies.sum()), gradients.reshape(-1, 3, 3)
+
+
+@njit(cache=True, parallel=True)
+def _scatter(tets, inverse, weights, order, wanted, bounds, ranges, parts):  # type: ignore[no-untyped-def]
+    for chunk in prange(len(bounds) - 1):
+        part = parts[chunk]
+        part[ranges[chunk, 0] : ranges[chunk, 1]] = 0.0
+        for t in range(bounds[chunk], bounds[chunk + 1]):
+            v0, v1, v2, v3 = tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3]
+            m, d, w = inverse[t], wanted[order[t]], weights[t]
+            for j in range(3):
+                u, v, s = w * d[3 * j], w * d[3 * j + 1], w * d[3 * j + 2]
+                a = u * m[0] + v * m[1] + s * m[2]
+                b = u * m[3] + v * m[4] + s * m[5]
+                c = u * m[6] + v * m[7] + s * m[8]
+                part[v0, j] -= a + b + c
+                part[v1, j] += a
+                part[v2, j] += b
+                part[v3, j] += c
+
+
+@njit(cache=True, parallel=True)
+def _gather(parts, ranges, total):  # type: ignore[no-untyped-def]
+    for v in prange(len(total)):
+        x, y, z = 0.0, 0.0, 0.0
+        for chunk in range(len(ranges)):
+            if ranges[chunk, 0] <= v < ranges[chunk, 1]:
+                x += parts[chunk, v, 0]
+                y += parts[chunk, v, 1]
+                z += parts[chunk, v, 2]
+        total[v, 0], total[v, 1], total[v, 2] = x, y, z
+
+
+@njit(cache=True, parallel=True)
+def _evaluate(x, tets, inverse, weights, order, wanted, bounds, gradients, energies):  # type: ignore[no-untyped-def]
+    for chunk in prange(len(bounds) - 1):
+        energy = 0.0
+        for t in range(bounds[chunk], bounds[chunk + 1]):
+            v0, v1, v2, v3 = tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3]
+            m, d, f = inverse[t], wanted[order[t]], gradients[order[t]]
+            squared = 0.0
+            for j in range(3):
+                a, b, c = x[v1, j] - x[v0, j], x[v2, j] - x[v0, j], x[v3, j] - x[v0, j]
+                f[3 * j] = a * m[0] + b * m[3] + c * m[6]
+                f[3 * j + 1] = a * m[1] + b * m[4] + c * m[7]
+                f[3 * j + 2] = a * m[2] + b * m[5] + c * m[8]
+                for k in range(3 * j, 3 * j + 3):
+                    squared += (f[k] - d[k]) ** 2
+            energy += weights[t] * squared
+        energies[chunk] = energy
