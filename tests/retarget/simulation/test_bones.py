@@ -68,8 +68,8 @@ def test_a_head_that_moves_is_refused_with_the_motion_found():
     with pytest.raises(InvalidInput, match=r"its cranium turns by 2\.00 degrees"):
         fit_bones(head, opened(head, nod=2.0)[0])
     with pytest.raises(InvalidInput, match=r"turns by 0\.00 degrees and moves by 1\.50 mm"):
-        fit_bones(head, head.skin + [0, 1.5, 0])
-    fit_bones(head, head.skin + [0, 0.5, 0])
+        fit_bones(head, head.skin + np.array([0, 1.5, 0]))
+    fit_bones(head, head.skin + np.array([0, 0.5, 0]))
 
 
 @pytest.mark.parametrize(("degrees", "slide"), [(60.0, (0, 0, 0)), (0.0, (0, 0, 50.0))])

@@ -32,7 +32,7 @@ def test_the_compliance(system):
 
 
 def test_more_points_extend_it(system):
-    matrix, condensed = system
+    _, condensed = system
     more = sp.random_array((7, N), density=0.05, rng=np.random.default_rng(1), format="csr")
     extended = condensed.with_points(more)
     whole = CondensedSystem(condensed.factor, sp.csr_array(sp.vstack([condensed.points, more])))

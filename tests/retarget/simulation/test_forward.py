@@ -47,7 +47,7 @@ def moved(head, amplitude=1.0):
     bones = Bones(
         still(head).cranium, RigidMotion(turn("x", 6.0 * amplitude), amplitude * np.array([0, -1, 1.0]), pivot(head))
     )
-    x, y, z = head.vertices.T / 20.0
+    x, y, _ = head.vertices.T / 20.0
     depth = head.vertices[:, 2:] / 20.0
     vertices = head.vertices + amplitude * depth * np.c_[np.sin(2 * y), np.cos(x + y), 2 * np.sin(x) * np.cos(y)]
     below = 1 / (1 + np.exp((head.vertices[:, 1:2] - 28) / 2))
@@ -147,7 +147,7 @@ def test_handles_against_refactorised(head, forward):
     characteristics = wanted(head)
     handles = Handles(skin=np.array([3, 100]), vertices=np.array([700]), weights=np.array([5.0, 50.0, 20.0]))
     held = forward.with_handles(handles)
-    goal = np.vstack([head.skin[handles.skin], head.vertices[handles.vertices]]) + [0, 1, 2]
+    goal = np.vstack([head.skin[handles.skin], head.vertices[handles.vertices]]) + np.array([0, 1, 2])
     pick = sp.eye_array(len(head.vertices), format="csr")[handles.vertices]
     rows = sp.csr_array(sp.vstack([head.template.embedding[handles.skin], pick]))
     offset = np.vstack([head.residual[handles.skin], np.zeros((1, 3))])
@@ -261,7 +261,7 @@ def test_gravity_upside_down():
 
 def test_stiffer_regions_follow_less(head):
     stiffness = region_stiffness(head, {"upper_lip": 50.0})
-    assert 1 == np.median(stiffness)
+    assert np.median(stiffness) == 1
     assert stiffness.max() == 50
     gradients = np.broadcast_to(np.eye(3), (len(head.template.tets), 3, 3))
     characteristics = Characteristics(lip_contour=wanted(head).lip_contour)

@@ -1,0 +1,136 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import pyvista as pv
+
+from retarget.check import InvalidInput
+from retarget.simulation.bones import pivot
+from retarget.simulation.collisions import TRIGGER, Lips
+from retarget.simulation.forward import ForwardSettings, ForwardSimulation
+from retarget.simulation.state import Bones, RigidMotion
+from retarget.types import Regions, Status
+from tests.retarget.simulation.box_head import GAP, box_head
+from tests.retarget.simulation.test_bones import turn
+
+
+@pytest.fixture(scope="module")
+def head():
+    return box_head()
+
+
+@pytest.fixture(scope="module")
+def lips(head):
+    return Lips(head.skin, head.template.faces, head.template.regions)
+
+
+def strip(height, curve=0.0):
+    """Two facing strips, the lower one `height` mm above where they touch; the upper one arches by `curve` mm."""
+    x, z = (a.ravel() for a in np.meshgrid(np.linspace(-10, 10, 11), np.linspace(0, 6, 4), indexing="ij"))
+    lower = np.c_[x, np.full(44, height), z]
+    upper = np.c_[x + 0.3, curve * (1 - (x / 10) ** 2), z + 0.2]
+    quad = (np.arange(10)[:, None] * 4 + np.arange(3)).ravel()
+    up = np.concatenate([np.c_[quad, quad + 1, quad + 5], np.c_[quad, quad + 5, quad + 4]])
+    faces = np.concatenate([up, up[:, ::-1] + 44])
+    regions = Regions(vertices={"lower_lip": np.arange(44), "upper_lip": np.arange(44, 88)})
+    return np.vstack([lower, upper]), faces, regions
+
+
+def test_depth_and_counterpart_on_an_arch():
+    rest, faces, regions = strip(-1.0)
+    lips = Lips(rest, faces, regions)
+    skin, _, _ = strip(0.4, curve=0.8)
+    contacts = lips.contacts(skin)
+    below = contacts.points < 44
+    counterpart = np.einsum("kc,kci->ki", contacts.barycentric, skin[contacts.triangles])
+    np.testing.assert_allclose(counterpart[:, [0, 2]], skin[contacts.points][:, [0, 2]], atol=1e-12)
+    np.testing.assert_allclose(np.abs(counterpart - skin[contacts.points])[:, 1], contacts.depth)
+    arch = 0.8 * (1 - (skin[contacts.points[~below], 0] - 0.3) ** 2 / 100)
+    np.testing.assert_allclose(contacts.depth[~below], 0.4 - arch, atol=1e-9)
+    assert (contacts.triangles[below] >= 44).all()
+    assert (contacts.triangles[~below] < 44).all()
+    assert below.any()
+    assert not np.isin(np.flatnonzero(np.abs(skin[:44, 0]) < 5), contacts.points).any()  # under the arch
+
+
+@pytest.mark.parametrize(("height", "count"), [(-1.0, 0), (0.5 * TRIGGER, 0), (0.2, 60)])
+def test_only_what_is_inside_counts(height, count):
+    rest, faces, regions = strip(-1.0)
+    contacts = Lips(rest, faces, regions).contacts(strip(height)[0])
+    assert contacts.count == pytest.approx(count, abs=6)
+    assert contacts.deepest == (pytest.approx(height) if count else 0)
+
+
+def test_points_that_are_inside_at_rest_and_corners_are_no_candidates(head):
+    rest, faces, regions = strip(0.2)
+    assert Lips(rest, faces, regions).contacts(strip(1.0)[0]).count < 15
+    lips = Lips(head.skin, head.template.faces, head.template.regions)
+    lowered = head.skin - np.where(np.isin(np.arange(len(head.skin)), lips._upper), 3.0, 0.0)[:, None] * [0, 1, 0]
+    shared = np.intersect1d(*(head.template.regions.vertices[n] for n in ("upper_lip", "lower_lip")))
+    contacts = lips.contacts(lowered)
+    assert contacts.count > 20
+    assert not np.isin(contacts.points, shared).any()
+
+
+def closed(head, lift, degrees=0.0):
+    still = RigidMotion(np.eye(3), np.zeros(3), pivot(head))
+    return Bones(still, RigidMotion(turn("x", -degrees), np.array([0, lift, 0.0]), pivot(head)))
+
+
+def depth(head, skin):
+    """mm: how deep any point of one lip lies behind the nearest point of the other, along that surface's normal.
+
+    Independent of the resolver, which measures straight up and down. Points nearest to a rim are beyond the lip.
+    """
+    regions, faces = head.template.regions, head.template.faces
+    deepest = 0.0
+    for mine, other in (("upper_lip", "lower_lip"), ("lower_lip", "upper_lip")):
+        points = np.setdiff1d(regions.vertices[mine], regions.vertices[other])
+        surface = faces[np.isin(faces, regions.vertices[other]).all(axis=1)]
+        mesh = pv.PolyData.from_regular_faces(skin, surface)
+        triangle, nearest = mesh.find_closest_cell(skin[points], return_closest_point=True)
+        a, b, c = (skin[surface[triangle, i]] for i in range(3))
+        normal = np.cross(b - a, c - a)
+        inside = np.einsum("ij,ij->i", nearest - skin[points], normal / np.linalg.norm(normal, axis=1, keepdims=True))
+        distance = np.linalg.norm(nearest - skin[points], axis=1)
+        inner = np.abs(np.abs(inside) - distance) < 1e-4  # the nearest point is straight below: within the surface
+        deepest = max(deepest, float(inside[inner].max(initial=0.0)))
+    return deepest
+
+
+@pytest.mark.parametrize("bones", [(4.0, 0.0), (2.5, 0.0), (1.0, 5.0), (2.0, 10.0)])
+def test_lips_are_parted(head, bones):
+    gradients = np.broadcast_to(np.eye(3), (len(head.template.tets), 3, 3))
+    motion = closed(head, *bones)
+    crossed = ForwardSimulation(head, ForwardSettings(collisions=False))(gradients, motion)
+    parted = ForwardSimulation(head)(gradients, motion)
+    assert depth(head, crossed.skin) > 0.2
+    assert depth(head, parted.skin) < 0.1
+    assert parted.lips.before > 0.2 > 0.1 > parted.lips.after
+    assert "lip" in parted.info.message
+    assert parted.info.status is Status.CONVERGED
+    moved = np.linalg.norm(parted.vertices - crossed.vertices, axis=1)
+    inside = np.setdiff1d(np.arange(len(moved)), head.template.embedding[parted_rows(head)].indices)
+    assert moved[inside].max() > 0.1  # the displacement goes on into the tissue
+    assert moved[head.template.fixed].max() == 0
+
+
+def parted_rows(head):
+    return np.union1d(head.template.regions.vertices["upper_lip"], head.template.regions.vertices["lower_lip"])
+
+
+def test_lips_that_do_not_touch_are_left_alone(head):
+    gradients = np.broadcast_to(np.eye(3), (len(head.template.tets), 3, 3))
+    motion = closed(head, -2.0)
+    apart = ForwardSimulation(head)(gradients, motion)
+    assert apart.lips.rounds == apart.lips.contacts == 0
+    free = ForwardSimulation(head, ForwardSettings(collisions=False))(gradients, motion)
+    np.testing.assert_allclose(apart.skin, free.skin, atol=1e-9)
+    assert depth(head, head.skin) == 0.0 < GAP
+
+
+def test_a_topology_without_lips(head):
+    bare = replace(head.template, regions=Regions())
+    with pytest.raises(InvalidInput, match=r"vertices\['upper_lip'\] for lip collisions"):
+        ForwardSimulation(replace(head, template=bare))
+    ForwardSimulation(replace(head, template=bare), ForwardSettings(collisions=False))
