@@ -21,8 +21,9 @@ from retarget.types import FloatArray
 CHUNKS = 8  # fixed, so that sums have one order whatever the number of threads
 NEAR = 1.0 / 9.0  # ||F - R||^2 up to which the volume projection needs no SVD
 FLAT = 1e-3  # determinant up to which Newton's iteration is not tried
-POLAR_TOLERANCE = 1e-10  # squared last step; as convergence is quadratic, it bounds the error itself
-VOLUME_TOLERANCE = 1e-14  # squared last step; convergence is linear, fast where ||F - R|| is small
+# In double and in single precision, squared last step.
+POLAR_TOLERANCE = (1e-10, 1e-7)  # as convergence is quadratic, it bounds the error itself
+VOLUME_TOLERANCE = (1e-14, 1e-10)  # convergence is linear, fast where ||F - R|| is small
 LANES = 64
 VECTORISE = {"contract", "reassoc", "nsz", "arcp"}  # NaN and infinity keep their meaning
 
@@ -46,19 +47,22 @@ class TetrahedralEnergy:
 
     The weights (t,) >= 0 contain the volumes. The distance in the second term is what projective dynamics minimises
     in place of (det F - 1)^2.  # differs from the paper: eqs (11) and (12) are reported by `paper_energy` instead
+    In single precision the projections are good to 1e-6; edges and sums are double in either case.
     """
 
-    def __init__(self, shape: RestShape, strain: FloatArray, volume: FloatArray) -> None:
+    def __init__(self, shape: RestShape, strain: FloatArray, volume: FloatArray, single: bool = False) -> None:
         order = np.argsort(shape.tets.min(axis=1), kind="stable")  # neighbours in memory are neighbours in a chunk
-        tets = shape.tets[order]
-        self.size = len(shape.vertices)
-        self._tets = np.ascontiguousarray(tets, dtype=np.uint32)
-        self._inverse = np.ascontiguousarray(shape.inverse[order]).reshape(-1, 9)
-        self._weights = np.stack([np.asarray(strain, dtype=np.float64), np.asarray(volume, dtype=np.float64)], axis=1)[
-            order
-        ]
-        self._bounds = np.linspace(0, len(tets), CHUNKS + 1).astype(np.int64)
-        chunks = [tets[a:b] for a, b in zip(self._bounds[:-1], self._bounds[1:], strict=True)]
+        self.size, self._count = len(shape.vertices), len(order)
+        order = np.concatenate([order, np.repeat(order[-1:], -len(order) % LANES)])  # the last tile repeats a tet
+        weights = np.stack([strain, volume], axis=1)[order]
+        weights[self._count :] = 0
+        real = np.float32 if single else np.float64
+        tiles = len(order) // LANES
+        self._tets = np.ascontiguousarray(shape.tets[order], dtype=np.uint32).reshape(tiles, LANES, 4)
+        self._inverse = np.ascontiguousarray(_lanes(shape.inverse[order].reshape(-1, 9)), dtype=real)
+        self._weights = np.ascontiguousarray(_lanes(weights), dtype=real)
+        self._bounds = np.linspace(0, tiles, CHUNKS + 1).astype(np.int64)
+        chunks = [self._tets[a:b] for a, b in zip(self._bounds[:-1], self._bounds[1:], strict=True)]
         self._ranges = np.array([(c.min(), c.max() + 1) if len(c) else (0, 0) for c in chunks], dtype=np.int64)
         self._parts = np.empty((CHUNKS, self.size, 3))
 
@@ -66,11 +70,18 @@ class TetrahedralEnergy:
         """At vertices (n, 3) mm. Not re-entrant: calls share one buffer."""
         x = np.ascontiguousarray(vertices, dtype=np.float64)
         sums = np.zeros((CHUNKS, 3))
-        _local_step(x, self._tets, self._inverse, self._weights, self._bounds, self._ranges, self._parts, sums)
+        _local_step(
+            x, self._tets, self._inverse, self._weights, self._count, self._bounds, self._ranges, self._parts, sums
+        )
         descent = np.empty((self.size, 3))
         _gather(self._parts, self._ranges, descent)
         strain, volume, inverted = sums.sum(axis=0)
         return LocalStep(float(strain), float(volume), descent, int(inverted))
+
+
+def _lanes(values: FloatArray) -> FloatArray:
+    """(tiles, c, LANES) from values (tiles * LANES, c)."""
+    return np.swapaxes(values.reshape(-1, LANES, values.shape[1]), 1, 2)
 
 
 def paper_energy(gradients: FloatArray, rotations: FloatArray, strain: FloatArray, volume: FloatArray) -> float:
@@ -198,7 +209,7 @@ def unit_product(sigma: FloatArray, d: FloatArray) -> None:
 def _project_by_svd(f, r, d):  # type: ignore[no-untyped-def]
     """Both projections of one F (9,), written into r and d (9,)."""
     u, v, sigma, s = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
-    signed_svd(f.copy().reshape(3, 3), u, sigma, v)
+    signed_svd(f.astype(np.float64).reshape(3, 3), u, sigma, v)
     unit_product(sigma, s)
     for j in range(3):
         for k in range(3):
@@ -207,128 +218,207 @@ def _project_by_svd(f, r, d):  # type: ignore[no-untyped-def]
 
 
 # In the lane loops a to i name the entries of one 3 x 3 matrix by rows and c0 to c8 those of its cofactor matrix.
+# They serve single and double precision alike: constants take the type of the arrays. Flat arrays with rows at offsets
+# known to the compiler are what it vectorises; of rows with strides it would have to prove that they do not overlap.
+A, B, C, D, E, F, G, H, J = range(0, 9 * LANES, LANES)
 
 
 @njit(cache=True, error_model="numpy", fastmath=VECTORISE)
 def _determinants(m, det):  # type: ignore[no-untyped-def]
+    m = m.reshape(-1)
     for k in range(LANES):
-        a, b, c, d, e, f, g, h, i = m[0, k], m[1, k], m[2, k], m[3, k], m[4, k], m[5, k], m[6, k], m[7, k], m[8, k]
+        a, b, c, d, e, f, g, h, i = (
+            m[A + k],
+            m[B + k],
+            m[C + k],
+            m[D + k],
+            m[E + k],
+            m[F + k],
+            m[G + k],
+            m[H + k],
+            m[J + k],
+        )
         det[k] = a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
 
 
 @njit(cache=True, error_model="numpy", fastmath=VECTORISE)
 def _newton(r, step):  # type: ignore[no-untyped-def]
     """R <- (R + R^-T) / 2 (Higham 1986); the squared length of the step."""
+    r, half = r.reshape(-1), r.dtype.type(0.5)
     for k in range(LANES):
-        a, b, c, d, e, f, g, h, i = r[0, k], r[1, k], r[2, k], r[3, k], r[4, k], r[5, k], r[6, k], r[7, k], r[8, k]
+        a, b, c, d, e, f, g, h, i = (
+            r[A + k],
+            r[B + k],
+            r[C + k],
+            r[D + k],
+            r[E + k],
+            r[F + k],
+            r[G + k],
+            r[H + k],
+            r[J + k],
+        )
         c0, c1, c2 = e * i - f * h, f * g - d * i, d * h - e * g
         c3, c4, c5 = c * h - b * i, a * i - c * g, b * g - a * h
         c6, c7, c8 = b * f - c * e, c * d - a * f, a * e - b * d
-        s = 0.5 / (a * c0 + b * c1 + c * c2)
-        c0, c1, c2 = s * c0 - 0.5 * a, s * c1 - 0.5 * b, s * c2 - 0.5 * c
-        c3, c4, c5 = s * c3 - 0.5 * d, s * c4 - 0.5 * e, s * c5 - 0.5 * f
-        c6, c7, c8 = s * c6 - 0.5 * g, s * c7 - 0.5 * h, s * c8 - 0.5 * i
-        r[0, k], r[1, k], r[2, k] = a + c0, b + c1, c + c2
-        r[3, k], r[4, k], r[5, k] = d + c3, e + c4, f + c5
-        r[6, k], r[7, k], r[8, k] = g + c6, h + c7, i + c8
+        s = half / (a * c0 + b * c1 + c * c2)
+        c0, c1, c2 = s * c0 - half * a, s * c1 - half * b, s * c2 - half * c
+        c3, c4, c5 = s * c3 - half * d, s * c4 - half * e, s * c5 - half * f
+        c6, c7, c8 = s * c6 - half * g, s * c7 - half * h, s * c8 - half * i
+        r[A + k], r[B + k], r[C + k] = a + c0, b + c1, c + c2
+        r[D + k], r[E + k], r[F + k] = d + c3, e + c4, f + c5
+        r[G + k], r[H + k], r[J + k] = g + c6, h + c7, i + c8
         step[k] = c0 * c0 + c1 * c1 + c2 * c2 + c3 * c3 + c4 * c4 + c5 * c5 + c6 * c6 + c7 * c7 + c8 * c8
 
 
 @njit(cache=True, error_model="numpy", fastmath=VECTORISE)
 def _linearise(m, goal, step):  # type: ignore[no-untyped-def]
     """M <- the matrix closest to the goal with det M + cof M : (M' - M) = 1; the squared length of the step."""
+    m, goal, one = m.reshape(-1), goal.reshape(-1), m.dtype.type(1)
     for k in range(LANES):
-        a, b, c, d, e, f, g, h, i = m[0, k], m[1, k], m[2, k], m[3, k], m[4, k], m[5, k], m[6, k], m[7, k], m[8, k]
+        a, b, c, d, e, f, g, h, i = (
+            m[A + k],
+            m[B + k],
+            m[C + k],
+            m[D + k],
+            m[E + k],
+            m[F + k],
+            m[G + k],
+            m[H + k],
+            m[J + k],
+        )
         c0, c1, c2 = e * i - f * h, f * g - d * i, d * h - e * g
         c3, c4, c5 = c * h - b * i, a * i - c * g, b * g - a * h
         c6, c7, c8 = b * f - c * e, c * d - a * f, a * e - b * d
         det = a * c0 + b * c1 + c * c2
-        a, b, c = goal[0, k] - a, goal[1, k] - b, goal[2, k] - c
-        d, e, f = goal[3, k] - d, goal[4, k] - e, goal[5, k] - f
-        g, h, i = goal[6, k] - g, goal[7, k] - h, goal[8, k] - i
-        along = c0 * a + c1 * b + c2 * c + c3 * d + c4 * e + c5 * f + c6 * g + c7 * h + c8 * i
+        u, v, w = goal[A + k] - a, goal[B + k] - b, goal[C + k] - c
+        o, p, q = goal[D + k] - d, goal[E + k] - e, goal[F + k] - f
+        x, y, z = goal[G + k] - g, goal[H + k] - h, goal[J + k] - i
+        along = c0 * u + c1 * v + c2 * w + c3 * o + c4 * p + c5 * q + c6 * x + c7 * y + c8 * z
         norm = c0 * c0 + c1 * c1 + c2 * c2 + c3 * c3 + c4 * c4 + c5 * c5 + c6 * c6 + c7 * c7 + c8 * c8
-        s = (1 - det - along) / norm
-        a, b, c = a + s * c0, b + s * c1, c + s * c2
-        d, e, f = d + s * c3, e + s * c4, f + s * c5
-        g, h, i = g + s * c6, h + s * c7, i + s * c8
-        m[0, k] += a
-        m[1, k] += b
-        m[2, k] += c
-        m[3, k] += d
-        m[4, k] += e
-        m[5, k] += f
-        m[6, k] += g
-        m[7, k] += h
-        m[8, k] += i
-        step[k] = a * a + b * b + c * c + d * d + e * e + f * f + g * g + h * h + i * i
+        s = (one - det - along) / norm
+        u, v, w = u + s * c0, v + s * c1, w + s * c2
+        o, p, q = o + s * c3, p + s * c4, q + s * c5
+        x, y, z = x + s * c6, y + s * c7, z + s * c8
+        m[A + k], m[B + k], m[C + k] = a + u, b + v, c + w
+        m[D + k], m[E + k], m[F + k] = d + o, e + p, f + q
+        m[G + k], m[H + k], m[J + k] = g + x, h + y, i + z
+        step[k] = u * u + v * v + w * w + o * o + p * p + q * q + x * x + y * y + z * z
 
 
 @njit(cache=True, fastmath=VECTORISE)
 def _squared_distance(p, q, squared):  # type: ignore[no-untyped-def]
-    squared[:] = 0.0
-    for j in range(9):
+    p, q = p.reshape(-1), q.reshape(-1)
+    squared[:] = 0
+    for row in range(0, 9 * LANES, LANES):
         for k in range(LANES):
-            squared[k] += (p[j, k] - q[j, k]) ** 2
+            difference = p[row + k] - q[row + k]
+            squared[k] += difference * difference
+
+
+@njit(cache=True)
+def _copy(source, target):  # type: ignore[no-untyped-def]
+    source, target = source.reshape(-1), target.reshape(-1)
+    for k in range(9 * LANES):
+        target[k] = source[k]
+
+
+@njit(cache=True)
+def _set_identity(m, k):  # type: ignore[no-untyped-def]
+    for j in range(9):
+        m[j, k] = 1 if j % 4 == 0 else 0
+
+
+@njit(cache=True)
+def _all_below(values, bound):  # type: ignore[no-untyped-def]
+    """False for NaN as well."""
+    above = 0
+    for k in range(LANES):
+        above += not values[k] < bound
+    return above == 0
 
 
 @njit(cache=True)
 def project(f, r, d, det):  # type: ignore[no-untyped-def]
     """Closest rotations r and closest matrices d of unit determinant of the gradients f, all (9, LANES); and det f."""
-    step, last, far = np.empty(LANES), np.empty(LANES), np.empty(LANES)
+    single = int(f.itemsize == 4)
+    polar_tolerance, volume_tolerance = (
+        det.dtype.type(POLAR_TOLERANCE[single]),
+        det.dtype.type(VOLUME_TOLERANCE[single]),
+    )
+    flat, near = det.dtype.type(FLAT), det.dtype.type(NEAR)
+    step, last, far = np.empty_like(det), np.empty_like(det), np.empty_like(det)
     _determinants(f, det)
-    for j in range(9):
-        for k in range(LANES):
-            r[j, k] = f[j, k] if det[k] > FLAT else (1.0 if j % 4 == 0 else 0.0)
+    _copy(f, r)
+    for k in range(LANES):
+        if not det[k] > flat:
+            _set_identity(r, k)
     for _ in range(9):
         _newton(r, step)
-        if step.max() < POLAR_TOLERANCE:
+        if _all_below(step, polar_tolerance):
             break
     _squared_distance(f, r, far)
+    _copy(r, d)
+    goal = np.empty_like(f)
+    _copy(f, goal)
     for k in range(LANES):
-        if not (det[k] > FLAT and step[k] < POLAR_TOLERANCE):
+        if not (det[k] > flat and step[k] < polar_tolerance and far[k] <= near):
             far[k] = np.inf
-    goal = np.empty((9, LANES))
-    for j in range(9):
-        for k in range(LANES):
-            goal[j, k] = f[j, k] if far[k] <= NEAR else r[j, k]
-            d[j, k] = r[j, k]
+            _set_identity(goal, k)
+            _set_identity(d, k)
     for _ in range(20):
         _linearise(d, goal, last)
-        if last.max() < VOLUME_TOLERANCE:
+        if _all_below(last, volume_tolerance):
             break
     for k in range(LANES):
-        if not (far[k] <= NEAR and last[k] < VOLUME_TOLERANCE):
+        if not (far[k] <= near and last[k] < volume_tolerance):
             _project_by_svd(f[:, k], r[:, k], d[:, k])
 
 
 @njit(cache=True)
-def _load(x, tets, inverse, first, count, f):  # type: ignore[no-untyped-def]
-    """Deformation gradients of the tets from `first` on; lanes beyond `count` are at rest."""
-    for k in range(count):
-        t = first + k
-        v0, v1, v2, v3 = tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3]
+def _load(x, tets, edges):  # type: ignore[no-untyped-def]
+    """Edges [v1 - v0, v2 - v0, v3 - v0] of one tile of tets (LANES, 4), rounded after the subtraction."""
+    for k in range(LANES):
+        v0, v1, v2, v3 = tets[k, 0], tets[k, 1], tets[k, 2], tets[k, 3]
         for j in range(3):
-            a, b, c = x[v1, j] - x[v0, j], x[v2, j] - x[v0, j], x[v3, j] - x[v0, j]
-            f[3 * j, k] = a * inverse[t, 0] + b * inverse[t, 3] + c * inverse[t, 6]
-            f[3 * j + 1, k] = a * inverse[t, 1] + b * inverse[t, 4] + c * inverse[t, 7]
-            f[3 * j + 2, k] = a * inverse[t, 2] + b * inverse[t, 5] + c * inverse[t, 8]
-    for k in range(count, LANES):
-        for j in range(9):
-            f[j, k] = 1.0 if j % 4 == 0 else 0.0
+            origin = x[v0, j]
+            edges[3 * j, k], edges[3 * j + 1, k], edges[3 * j + 2, k] = (
+                x[v1, j] - origin,
+                x[v2, j] - origin,
+                x[v3, j] - origin,
+            )
+
+
+@njit(cache=True, fastmath=VECTORISE)
+def _multiply(p, m, product):  # type: ignore[no-untyped-def]
+    """P M, lane by lane."""
+    p, m, product = p.reshape(-1), m.reshape(-1), product.reshape(-1)
+    for row in (A, D, G):
+        for k in range(LANES):
+            a, b, c = p[row + k], p[row + LANES + k], p[row + 2 * LANES + k]
+            product[row + k] = a * m[A + k] + b * m[D + k] + c * m[G + k]
+            product[row + LANES + k] = a * m[B + k] + b * m[E + k] + c * m[H + k]
+            product[row + 2 * LANES + k] = a * m[C + k] + b * m[F + k] + c * m[J + k]
+
+
+@njit(cache=True, fastmath=VECTORISE)
+def _multiply_transposed(p, m, product):  # type: ignore[no-untyped-def]
+    """P M^T, lane by lane."""
+    p, m, product = p.reshape(-1), m.reshape(-1), product.reshape(-1)
+    for row in (A, D, G):
+        for k in range(LANES):
+            a, b, c = p[row + k], p[row + LANES + k], p[row + 2 * LANES + k]
+            product[row + k] = a * m[A + k] + b * m[B + k] + c * m[C + k]
+            product[row + LANES + k] = a * m[D + k] + b * m[E + k] + c * m[F + k]
+            product[row + 2 * LANES + k] = a * m[G + k] + b * m[H + k] + c * m[J + k]
 
 
 @njit(cache=True)
-def _scatter(tets, inverse, first, count, p, descent):  # type: ignore[no-untyped-def]
-    """Add G^T p to the corners of the tets."""
-    for k in range(count):
-        t = first + k
-        v0, v1, v2, v3 = tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3]
+def _scatter(forces, tets, descent):  # type: ignore[no-untyped-def]
+    """Add forces on v1, v2, v3 (in columns), and their reaction on v0."""
+    for k in range(LANES):
+        v0, v1, v2, v3 = tets[k, 0], tets[k, 1], tets[k, 2], tets[k, 3]
         for j in range(3):
-            u, v, w = p[3 * j, k], p[3 * j + 1, k], p[3 * j + 2, k]
-            a = u * inverse[t, 0] + v * inverse[t, 1] + w * inverse[t, 2]
-            b = u * inverse[t, 3] + v * inverse[t, 4] + w * inverse[t, 5]
-            c = u * inverse[t, 6] + v * inverse[t, 7] + w * inverse[t, 8]
+            a, b, c = forces[3 * j, k], forces[3 * j + 1, k], forces[3 * j + 2, k]
             descent[v0, j] -= a + b + c
             descent[v1, j] += a
             descent[v2, j] += b
@@ -336,32 +426,42 @@ def _scatter(tets, inverse, first, count, p, descent):  # type: ignore[no-untype
 
 
 @njit(cache=True, parallel=True)
-def _local_step(x, tets, inverse, weights, bounds, ranges, parts, sums):  # type: ignore[no-untyped-def]
+def _local_step(x, tets, inverse, weights, count, bounds, ranges, parts, sums):  # type: ignore[no-untyped-def]
     for chunk in prange(len(bounds) - 1):
-        _chunk(x, tets, inverse, weights, bounds[chunk], bounds[chunk + 1], ranges[chunk], parts[chunk], sums[chunk])
+        _chunk(
+            x, tets, inverse, weights, count, bounds[chunk], bounds[chunk + 1], ranges[chunk], parts[chunk], sums[chunk]
+        )
+
+
+@njit(cache=True, fastmath=VECTORISE)
+def _pull(f, r, d, weights):  # type: ignore[no-untyped-def]
+    """R <- strain (R - F) + volume (D - F)."""
+    f, r, d, weights = f.reshape(-1), r.reshape(-1), d.reshape(-1), weights.reshape(-1)
+    for row in range(0, 9 * LANES, LANES):
+        for k in range(LANES):
+            i = row + k
+            r[i] = weights[k] * (r[i] - f[i]) + weights[LANES + k] * (d[i] - f[i])
 
 
 @njit(cache=True)
-def _chunk(x, tets, inverse, weights, begin, end, touched, descent, sums):  # type: ignore[no-untyped-def]
+def _chunk(x, tets, inverse, weights, count, begin, end, touched, descent, sums):  # type: ignore[no-untyped-def]
     descent[touched[0] : touched[1]] = 0.0
-    f, r, d = np.empty((9, LANES)), np.empty((9, LANES)), np.empty((9, LANES))
-    det, strain, volume = np.empty(LANES), np.empty(LANES), np.empty(LANES)
+    f, r, d = np.empty_like(inverse[0]), np.empty_like(inverse[0]), np.empty_like(inverse[0])
+    det, strain, volume = np.empty_like(f[0]), np.empty_like(f[0]), np.empty_like(f[0])
     total_strain, total_volume, inverted = 0.0, 0.0, 0
-    for first in range(begin, end, LANES):
-        count = min(LANES, end - first)
-        _load(x, tets, inverse, first, count, f)
+    for tile in range(begin, end):
+        _load(x, tets[tile], d)
+        _multiply(d, inverse[tile], f)
         project(f, r, d, det)
         _squared_distance(f, r, strain)
         _squared_distance(f, d, volume)
-        for k in range(count):
-            total_strain += weights[first + k, 0] * strain[k]  # eq. (11), first term
-            total_volume += weights[first + k, 1] * volume[k]  # eqs (11), (12): distance form of the volume term
+        for k in range(min(LANES, count - tile * LANES)):
+            total_strain += weights[tile, 0, k] * strain[k]  # eq. (11), first term
+            total_volume += weights[tile, 1, k] * volume[k]  # eqs (11), (12): distance form of the volume term
             inverted += not det[k] > 0
-        for j in range(9):
-            for k in range(count):
-                w, q = weights[first + k, 0], weights[first + k, 1]
-                r[j, k] = w * (r[j, k] - f[j, k]) + q * (d[j, k] - f[j, k])
-        _scatter(tets, inverse, first, count, r, descent)
+        _pull(f, r, d, weights[tile])
+        _multiply_transposed(r, inverse[tile], f)
+        _scatter(f, tets[tile], descent)
     sums[0], sums[1], sums[2] = total_strain, total_volume, inverted
 
 
