@@ -16,6 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
+from retarget.anatomy.distance import closest
 from retarget.check import InvalidInput
 from retarget.geometry.graph import components, vertex_adjacency
 from retarget.types import FloatArray, IntArray, Regions
@@ -73,6 +74,21 @@ def landmark_depths(depths: Mapping[str, float], regions: Regions) -> dict[str, 
             )
         found.update(dict.fromkeys(names, depth))
     return found
+
+
+def depths_with_room(
+    vertices: FloatArray, faces: IntArray, regions: Regions, depths: Mapping[str, float]
+) -> dict[str, float]:
+    """The depths in mm of those landmarks whose bone lies before the mouth cavity of the skin (n, 3) mm, (f, 3).
+
+    Where the cavity is nearer to a landmark than the bone, as behind the lips, the true bone (teeth and alveoli) lies
+    inside the cavity of the mesh, so it is no part of this head and the landmark carries no depth.
+    """
+    interior = np.zeros(len(vertices), dtype=bool)
+    interior[regions.vertices["interior"]] = True
+    marks = vertices[[regions.landmarks[name] for name in depths]]
+    room = np.linalg.norm(marks - closest((vertices, faces[interior[faces].all(axis=1)]), marks), axis=1)
+    return {name: depth for (name, depth), r in zip(depths.items(), room, strict=True) if r >= depth}
 
 
 def depth_basis(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> FloatArray:

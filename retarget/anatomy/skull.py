@@ -1,7 +1,7 @@
 """The skull of a face: the surface that lies as deep under the skin as the published depths say.
 
 The skin without ears, lips and nose tip is bridged smoothly where these were; the skull is the level set of
-(distance to that skin - depth), kept off the eye sockets and cut off from the neck.
+(distance to that skin - depth), kept off eye sockets and mouth cavity and cut off from the neck.
 """
 
 from __future__ import annotations
@@ -17,26 +17,29 @@ from scipy import ndimage
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
-from retarget.anatomy.closed import euler_number
-from retarget.anatomy.depths import LARGEST, depth_basis
+from retarget.anatomy.depths import LARGEST, depth_basis, depths_with_room
+from retarget.anatomy.distance import closest, signed_distance
 from retarget.check import InvalidInput
-from retarget.geometry.graph import vertex_adjacency
+from retarget.geometry.graph import components, vertex_adjacency
 from retarget.types import FloatArray, IntArray, Regions
 
 NEEDED_SETS = ("head", "interior", "ears", "lips", "nose", "eyes", "neck")
 NEEDED_LANDMARKS = ("rhinion", "pronasale", "menton", "gonion_left", "gonion_right", "tragion_left", "tragion_right")
-SOCKET_CLEARANCE = 2.0  # mm of soft tissue between an eye socket and its orbit
+CLEARANCE = 1.0  # mm of soft tissue between bone and any skin
+CAVITY_CLEARANCE = 3.0  # mm of soft tissue between bone and the skin of eye sockets and mouth
 ROUNDING = 3.0  # mm over which the lower edges of mandible and occiput and the orbits' edges are rounded
 TOLERANCE = 0.2  # mm that the depth at a landmark may be off; the fit to a face promises 1 mm
 _SPACING = 2.0  # mm between the samples of the skin
 _REACH = 30.0  # mm that the skin is looked for from a point; no depth comes near it
+_CORRECTION = 6.0  # mm that the depths at the landmarks may be corrected by
+_SMALLEST_PIECE = 2000.0  # mm^3; the jaw may be a piece of its own
 _SHELL = 1.25  # grid steps about the skin in which a point's side is that of the nearest point beyond
 _ROUNDS = 6  # of correcting the depths at the landmarks
 
 
 @dataclass(frozen=True)
 class Skull:
-    """A closed surface, and how far its depths at the landmarks are off the table's, by landmark name in mm."""
+    """A closed surface of one or several pieces, and how far its depths are off the table's, by landmark in mm."""
 
     vertices: FloatArray  # (n, 3) mm
     faces: IntArray  # (f, 3), outward
@@ -48,39 +51,93 @@ def build_skull(
 ) -> Skull:
     """The skull under a capped head (n, 3) mm, (f, 3); `depths` in mm by landmark, `spacing` of the grid in mm.
 
-    The field is corrected until the distance from each landmark to the skull is the depth of the table, where the
-    shape of the skin lets it. Raises InvalidInput if a region or landmark is missing, or if the level set is not one
-    closed piece, and if a depth lies outside (0, 24] mm.
+    The field is corrected until the distance from each landmark to the skull is the depth of the table; landmarks
+    without room (`depths_with_room`) are left out. Cranium and jaw may be separate pieces, and the jaw may be an arch
+    with its ramus on the cranium, so the Euler number is free. Raises InvalidInput if a region or landmark is missing,
+    if a depth lies outside (0, 24] mm, or if the level set is not closed or not under the skin.
     """
     check_parts(regions)
     bridged = bridge_skin(vertices, faces, regions)
+    if not all(0 < depth <= LARGEST for depth in depths.values()):
+        raise InvalidInput(
+            f"depths: expected depths in (0, {LARGEST:g}] mm, got {min(depths.values()):g} to "
+            f"{max(depths.values()):g}; are they in mm?"
+        )
+    depths = depths_with_room(vertices, faces, regions, depths)
     names = list(depths)
     marks = np.array([regions.landmarks[name] for name in names])
     wanted = np.array([depths[name] for name in names])
-    if not ((wanted > 0) & (wanted <= LARGEST)).all():
-        raise InvalidInput(
-            f"depths: expected depths in (0, {LARGEST:g}] mm, got {wanted.min():g} to {wanted.max():g}; are they in mm?"
-        )
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    grid = _Grid.between(np.array([low[0], vertices[marks, 1].min(), low[2]]), high, spacing)  # no bone below the chin
     samples, weights = _sample(bridged, faces)
-    margin = 3 * spacing  # the air about the head is one piece
-    low, high = vertices.min(axis=0) - margin, vertices.max(axis=0) + margin
-    shape = tuple(int(s) for s in np.ceil((high - low) / spacing).astype(int) + 1)
-    grid = low + spacing * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(-1, 3)
-    distance, nearest = cKDTree(samples).query(grid, eps=0.01, distance_upper_bound=_REACH)
-    distance, nearest = np.minimum(distance, _REACH), np.minimum(nearest, len(samples) - 1)  # deep inside
-    inside = _inside(distance.reshape(shape) > _SHELL * spacing).ravel()
-    signed = np.where(inside, distance, -distance)
-    limit = np.minimum(_socket_limit(vertices, faces, regions, grid), _base_limit(vertices, regions, grid))
+    tree = cKDTree(samples, leafsize=64)
     basis = depth_basis(vertices, faces, marks)
+    shallow = wanted.min() / 2
+    signed, nearest = grid.signed_distance(tree, weights @ np.maximum(basis @ wanted, shallow))
+    base = _base_limit(vertices, regions, grid.points)
+    limit = _cavity_limit(vertices, faces, regions, grid)
+    for centre, radius in zip(vertices[marks], wanted, strict=True):
+        ball = grid.box(centre - 2 * radius, centre + 2 * radius)
+        limit[ball] = np.minimum(limit[ball], np.linalg.norm(grid.points[ball] - centre, axis=1) - radius)
     given = wanted.copy()
     for _ in range(_ROUNDS):
-        field = weights @ np.clip(basis @ given, wanted.min() / 2, 0.9 * _REACH)
-        surface = _level_set(_smooth_minimum(signed - field[nearest], limit, ROUNDING).reshape(shape), low, spacing)
+        field = weights @ np.maximum(basis @ given, shallow)
+        inner = _smooth_minimum(_smooth_minimum(signed - field[nearest], base, ROUNDING), limit, ROUNDING)
+        surface = _level_set(inner, limit, grid)
         found = distance_to(surface, vertices[marks])
         if np.abs(found - wanted).max() < TOLERANCE:
             break
-        given = np.clip(given + wanted - found, 0.5 * wanted, 1.5 * wanted)
+        given = np.clip(given + wanted - found, wanted - _CORRECTION, wanted + _CORRECTION)
+    depth = signed_distance((vertices, faces), surface[0])
+    if depth.min() < 0:
+        raise InvalidInput(
+            f"skull: expected room for it under the skin, got {int((depth < 0).sum())} of its {len(depth)} vertices "
+            f"outside, the farthest by {-depth.min():.1f} mm near {np.round(surface[0][depth.argmin()], 1).tolist()} "
+            "mm; the depths do not fit this head there, or its skin is not closed."
+        )
     return Skull(*surface, dict(zip(names, (found - wanted).tolist(), strict=True)))
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """A regular grid."""
+
+    low: FloatArray  # (3,) mm
+    spacing: float  # mm
+    shape: tuple[int, ...]
+    points: FloatArray  # (g, 3) mm
+
+    @staticmethod
+    def between(low: FloatArray, high: FloatArray, spacing: float) -> _Grid:
+        margin = 3 * spacing  # the air about the head is one piece
+        low, high = low - margin, high + margin
+        shape = tuple(int(s) for s in np.ceil((high - low) / spacing).astype(int) + 1)
+        points = low + spacing * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(-1, 3)
+        return _Grid(low, spacing, shape, points)
+
+    def box(self, low: FloatArray, high: FloatArray) -> IntArray:
+        """Indices of the points between two corners."""
+        first, last = (np.clip(np.ceil((c - self.low) / self.spacing).astype(int), 0, self.shape) for c in (low, high))
+        return np.ravel_multi_index(np.ix_(*map(np.arange, first, last)), self.shape).ravel()
+
+    def signed_distance(self, tree: cKDTree, field: FloatArray) -> tuple[FloatArray, IntArray]:
+        """(g,) mm from the points of a closed surface, positive inside, and (g,) the nearest of its points.
+
+        Exact about the depths `field` at its points and for a few grid steps outside; elsewhere only the side counts.
+        """
+        reach = 4 * self.spacing
+        distance, nearest = tree.query(self.points, distance_upper_bound=_SHELL * self.spacing)
+        off = ~np.isfinite(distance).reshape(self.shape)
+        nearest[nearest == tree.n] = 0
+        inside = _inside(off)
+        depth, skin = ndimage.distance_transform_edt(off, return_indices=True)  # in grid steps
+        nearest = nearest.reshape(self.shape)[tuple(skin)].ravel()
+        depth, inside = (self.spacing * (depth + _SHELL)).ravel(), inside.ravel()  # of the nearest on the skin's shell
+        near = np.where(inside, np.abs(depth - field[nearest]) < reach + _CORRECTION, depth < reach)
+        signed = np.where(inside, depth, -depth)
+        distance, nearest[near] = tree.query(self.points[near], eps=0.01)
+        signed[near] = np.where(inside[near], distance, -distance)
+        return signed, nearest
 
 
 def check_parts(regions: Regions) -> None:
@@ -113,9 +170,7 @@ def bridge_skin(vertices: FloatArray, faces: IntArray, regions: Regions) -> Floa
 
 def distance_to(surface: tuple[FloatArray, IntArray], points: FloatArray) -> FloatArray:
     """(m,) mm from points (m, 3) to the triangles of a surface."""
-    mesh = pv.PolyData.from_regular_faces(surface[0], surface[1])  # type: ignore[arg-type]  # its stub wants int
-    _, closest = mesh.find_closest_cell(points, return_closest_point=True)
-    result: FloatArray = np.linalg.norm(points - closest, axis=1)
+    result: FloatArray = np.linalg.norm(points - closest(surface, points), axis=1)
     return result
 
 
@@ -136,19 +191,21 @@ def _sample(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, sp.csr_a
     matrix = sp.csr_array(
         (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(count, len(vertices))
     )
-    return matrix @ vertices, matrix
+    points = matrix @ vertices
+    apart = np.sort(np.unique(np.floor(points / (_SPACING / 2)), axis=0, return_index=True)[1])
+    return points[apart], matrix[apart]
 
 
-def _socket_limit(vertices: FloatArray, faces: IntArray, regions: Regions, grid: FloatArray) -> FloatArray:
-    """Distance in mm from the inner surface of the eye sockets, less the clearance: positive away from them."""
+def _cavity_limit(vertices: FloatArray, faces: IntArray, regions: Regions, grid: _Grid) -> FloatArray:
+    """Distance in mm of grid points in the tissue from the skin of mouth and eye sockets, less the clearance."""
     interior = regions.vertices["interior"]
-    middle = vertices[regions.vertices["eyes"]].mean(axis=0)[1] - 25.0
-    inside = np.zeros(len(vertices), dtype=bool)
-    inside[interior[vertices[interior, 1] > middle]] = True
-    inside[regions.vertices["eyes"]] = True
-    samples, _ = _sample(vertices, faces[inside[faces].all(axis=1)])
-    distance, _ = cKDTree(samples).query(grid, distance_upper_bound=40.0)
-    limit: FloatArray = np.minimum(distance, 40.0) - SOCKET_CLEARANCE
+    limit = np.full(len(grid.points), 4 * grid.spacing)
+    for part in components(vertex_adjacency(faces, len(vertices))[interior][:, interior]):
+        corners = vertices[interior[part]]
+        reach = CAVITY_CLEARANCE + ROUNDING + 2 * grid.spacing
+        box = grid.box(corners.min(axis=0) - reach, corners.max(axis=0) + reach)
+        found = signed_distance((vertices, faces), grid.points[box]) - CAVITY_CLEARANCE
+        limit[box] = np.minimum(limit[box], found)
     return limit
 
 
@@ -183,27 +240,29 @@ def _inside(clear: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return enclosed
 
 
-def _level_set(values: FloatArray, low: FloatArray, spacing: float) -> tuple[FloatArray, IntArray]:
-    """The zero surface of values on a grid, positive inside: its largest piece, filled.
+def _level_set(values: FloatArray, limit: FloatArray, grid: _Grid) -> tuple[FloatArray, IntArray]:
+    """The zero surface of min(smoothed values, limit) on a grid, positive inside: its large pieces, filled.
 
     The values are smoothed, not the surface, so that it cannot cross itself."""
-    values = ndimage.gaussian_filter(np.clip(values, -4 * spacing, 4 * spacing), 1.0)
+    far = 4 * grid.spacing
+    values = ndimage.gaussian_filter(np.clip(values, -far, far).reshape(grid.shape), 1.0)
+    values = np.minimum(values, limit.reshape(grid.shape))
     pieces, count = ndimage.label(values > 0)
     if count == 0:
         raise InvalidInput("skull: expected room for it under the skin, got none; are depths and head both in mm?")
-    largest = 1 + int(np.argmax(np.bincount(pieces.ravel())[1:]))
-    rest, _ = ndimage.label(pieces != largest)
-    holes = (pieces != largest) & (rest != rest[0, 0, 0])
-    values = np.where((pieces == largest) | ((pieces == 0) & ~holes), values, -spacing)
-    values = np.where(holes, spacing, values)
-    image = pv.ImageData(dimensions=values.shape, spacing=(spacing,) * 3, origin=tuple(low))
+    size = np.bincount(pieces.ravel())[1:] * grid.spacing**3
+    kept = np.isin(pieces, 1 + np.flatnonzero(size > min(_SMALLEST_PIECE, size.max() / 2)))  # cranium, jaw
+    rest, _ = ndimage.label(~kept)
+    holes = ~kept & (rest != rest[0, 0, 0])
+    values = np.where(kept | ((pieces == 0) & ~holes), values, -grid.spacing)
+    values = np.where(holes, grid.spacing, values)
+    image = pv.ImageData(dimensions=grid.shape, spacing=(grid.spacing,) * 3, origin=tuple(grid.low))
     image["inner"] = values.ravel(order="F")
     contour = image.contour([0.0], scalars="inner", method="marching_cubes").clean()
-    contour = contour.connectivity("largest").extract_surface(algorithm=None) if contour.n_points else contour
     faces: IntArray = np.asarray(contour.regular_faces, dtype=np.int64)
-    if not contour.is_manifold or euler_number(faces) != 2:
+    if not contour.is_manifold:
         raise InvalidInput(
-            f"skull: expected a closed surface without handles, got Euler number {euler_number(faces)}; "
+            "skull: expected a closed surface, got one with open or forked edges; "
             "the depths are too large for this head, or its skin is not closed."
         )
     v = np.asarray(contour.points, dtype=np.float64)
