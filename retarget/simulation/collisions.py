@@ -33,38 +33,71 @@ class Contacts:
         """mm; 0 without contacts."""
         return float(self.depth.max(initial=0.0))
 
-    def rows(self, n: int) -> sp.csr_array:
-        """(2 k, n): each point and its counterpart in turn, of vertices (n, 3)."""
-        k = self.count
-        index = np.concatenate([2 * np.arange(k), np.repeat(2 * np.arange(k) + 1, 3)])
-        columns = np.concatenate([self.points, self.triangles.ravel()])
-        weights = np.concatenate([np.ones(k), self.barycentric.ravel()])
-        return sp.csr_array((weights, (index, columns)), shape=(2 * k, n))
-
-    def averages(self, skin: FloatArray) -> FloatArray:
-        """(k, 3) mm: the average position of point and counterpart, on skin (n, 3) mm."""
+    def half_way(self, skin: FloatArray) -> FloatArray:
+        """(k, 3) mm: from each point half the way to its counterpart, on skin (n, 3) mm."""
         counterparts = np.einsum("kc,kci->ki", self.barycentric, skin[self.triangles])
-        return 0.5 * (skin[self.points] + counterparts)
+        return 0.5 * (counterparts - skin[self.points])
 
-    def kept(self, others: Contacts) -> NDArray[np.bool_]:
-        """(k,) which contacts have a point that is in no contact of `others`."""
-        return ~np.isin(self.points, others.points)
 
-    def where(self, chosen: NDArray[np.bool_]) -> Contacts:
-        """The contacts with a flag (k,)."""
-        return Contacts(self.points[chosen], self.triangles[chosen], self.barycentric[chosen], self.depth[chosen])
+@dataclass(frozen=True)
+class Held:
+    """Contacts that are held, and where."""
 
-    def and_(self, others: Contacts) -> Contacts:
-        """Both sets, in this order."""
-        return Contacts(
-            np.concatenate([self.points, others.points]),
-            np.concatenate([self.triangles, others.triangles]),
-            np.concatenate([self.barycentric, others.barycentric]),
-            np.concatenate([self.depth, others.depth]),
+    contacts: Contacts
+    goals: FloatArray  # (k, 3) mm of the points
+    counterparts: FloatArray  # (k, 3) mm of the counterparts
+
+    @classmethod
+    def none(cls) -> Held:
+        empty = np.empty((0, 3))
+        return cls(Contacts(np.empty(0, np.int64), np.empty((0, 3), np.int64), empty, np.empty(0)), empty, empty)
+
+    def renewed(self, found: Contacts, skin: FloatArray, push: float) -> Held:
+        """With contacts found on skin (n, 3) mm while these were held.
+
+        Point and counterpart of a new one go to their average position. A point that is found although it is held
+        gets a goal `push` times the remaining half way further on than its last one.
+        """
+        half = found.half_way(skin)
+        again, where = _position(found.points, self.contacts.points)
+        goals = skin[found.points] + half
+        goals[again] = self.goals[where] + push * half[again]
+        stay = ~np.isin(self.contacts.points, found.points)
+        old = self.contacts
+        contacts = Contacts(
+            np.concatenate([old.points[stay], found.points]),
+            np.concatenate([old.triangles[stay], found.triangles]),
+            np.concatenate([old.barycentric[stay], found.barycentric]),
+            np.concatenate([old.depth[stay], found.depth]),
         )
+        average = skin[found.points] + half
+        return Held(contacts, np.vstack([self.goals[stay], goals]), np.vstack([self.counterparts[stay], average]))
+
+    def rows(self, n: int) -> tuple[sp.csr_array, FloatArray]:
+        """The (r, n) matrix of what is held of vertices (n, 3), and the goals (r, 3): all points, and the counterparts
+        in triangles with a corner that is not held itself.
+
+        To hold the other counterparts as well would ask for lips that are flat: the points of each would have to lie
+        in the triangles of the other.
+        """
+        contacts = self.contacts
+        loose = np.flatnonzero(~np.isin(contacts.triangles, contacts.points).all(axis=1))
+        count = contacts.count + len(loose)
+        index = np.concatenate([np.arange(contacts.count), np.repeat(np.arange(contacts.count, count), 3)])
+        columns = np.concatenate([contacts.points, contacts.triangles[loose].ravel()])
+        weights = np.concatenate([np.ones(contacts.count), contacts.barycentric[loose].ravel()])
+        matrix = sp.csr_array((weights, (index, columns)), shape=(count, n))
+        return matrix, np.vstack([self.goals, self.counterparts[loose]])
 
 
-NO_CONTACTS = Contacts(np.empty(0, np.int64), np.empty((0, 3), np.int64), np.empty((0, 3)), np.empty(0))
+def _position(values: IntArray, among: IntArray) -> tuple[NDArray[np.bool_], IntArray]:
+    """Which values (k,) occur `among` others (m,), without repetition there, and where those that do."""
+    order = np.argsort(among)
+    place = np.minimum(np.searchsorted(among, values, sorter=order), max(len(among) - 1, 0))
+    if not len(among):
+        return np.zeros(len(values), dtype=bool), np.empty(0, dtype=np.int64)
+    found = among[order[place]] == values
+    return found, order[place[found]]
 
 
 class Lips:

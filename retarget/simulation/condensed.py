@@ -107,9 +107,10 @@ class SoftProblem:
 
 @dataclass(frozen=True)
 class CondensedSolution:
-    """Forces (m, 3) at the points, the energy beyond E(x0) at the start and after each iteration, and how it ended."""
+    """The minimum; `energy` is what it has beyond E(x0), at the start and after each iteration."""
 
-    forces: FloatArray
+    forces: FloatArray  # (m, 3) at the points: all rows together
+    held: FloatArray  # (r, 3) multipliers of the fixed rows, the forces that each exerts
     energy: tuple[float, ...]
     status: Status
 
@@ -142,7 +143,7 @@ class SoftSystem:
         held = self._hold(miss)
         base = float(np.vdot(miss, held))
         if not len(ratios):
-            return CondensedSolution(self.fixed.operator.T @ held, (base,), _status(base, Status.CONVERGED))
+            return CondensedSolution(self.fixed.operator.T @ held, held, (base,), _status(base, Status.CONVERGED))
         drift = self.areas.operator @ points + self._across.T @ held  # the triangles if their terms were absent
         goal = project(drift, ratios)
         energy, pull, projected = self._evaluate(drift, goal, ratios)
@@ -167,7 +168,7 @@ class SoftSystem:
             energies.append(base + energy)
         held = self._hold(miss - self._across @ pull)
         forces = self.fixed.operator.T @ held + self.areas.operator.T @ pull
-        return CondensedSolution(forces, tuple(energies), _status(energies[-1], status))
+        return CondensedSolution(forces, held, tuple(energies), _status(energies[-1], status))
 
     def _hold(self, miss: FloatArray) -> FloatArray:
         """Multipliers of the fixed rows that miss their targets by (r, 3)."""

@@ -23,7 +23,7 @@ from retarget.anatomy.head import Head
 from retarget.check import InvalidInput, check_vertices
 from retarget.simulation.bones import carry_bones, place_bones
 from retarget.simulation.characteristics import Characteristics
-from retarget.simulation.collisions import NO_CONTACTS, Lips
+from retarget.simulation.collisions import Held, Lips
 from retarget.simulation.condensed import CondensedSolution, CondensedSystem, SoftProblem, SoftRows, SoftSystem
 from retarget.simulation.factor import factorise
 from retarget.simulation.gradient_energy import GradientEnergy
@@ -45,8 +45,8 @@ class ForwardSettings:
     area_tolerance: float = 1e-5  # rms change of the triangles' gradients in one iteration
     area_iterations: int = 200
     collisions: bool = True  # step 3
-    collision_stiffness: float = 1e3  # of a contact, relative to that of the lips at one point
-    collision_rounds: int = 10
+    collision_stiffness: float = 10.0  # of a contact, relative to that of the lips at one point
+    collision_rounds: int = 12
     backend: str = "cholespy"
 
     def __post_init__(self) -> None:
@@ -189,25 +189,26 @@ class ForwardSimulation:
     ) -> tuple[CondensedSolution, LipReport]:
         """Detect contacts, hold both sides at their average position and solve again, until none is left.
 
-        A contact that is found again, as its lip slid on, is held anew.
+        # differs from the paper: which resolves once. Points that hang on the same tets cannot all be held where they
+        # should, and new ones meet; so those that are still inside are pushed on, further in each round.
         """
-        rules, compliance = self.settings, self._system.compliance
+        rules, compliance, count = self.settings, self._system.compliance, len(self._terms.skin)
         weight = rules.collision_stiffness / np.mean(np.diag(compliance)[self._terms.place[lips.vertices]])
-        skin = np.zeros_like(self.head.skin)
-        held, averages, deepest = NO_CONTACTS, np.empty((0, 3)), []
-        for _ in range(rules.collision_rounds + 1):
-            skin[self._terms.skin] = (problem.points + compliance @ solution.forces)[: len(self._terms.skin)]
+        skin = np.zeros_like(self.head.skin)  # the points alone are filled in
+        held, deepest = Held.none(), []
+        for turn in range(rules.collision_rounds + 1):
+            skin[self._terms.skin] = (problem.points + compliance @ solution.forces)[:count]
             found = lips.contacts(skin)
             deepest.append(found.deepest)
-            if not found.count or len(deepest) > rules.collision_rounds:
+            if not found.count or turn == rules.collision_rounds:
                 break
-            stay = held.kept(found)
-            held, averages = held.where(stay).and_(found), np.vstack([averages[stay], found.averages(skin)])
-            rows = SoftRows(held.rows(len(skin))[:, self._terms.skin], np.full(2 * held.count, weight))
+            held = held.renewed(found, skin, push=turn + 2.0)
+            operator, goals = held.rows(len(skin))
+            rows = SoftRows(operator[:, self._terms.skin], np.full(len(goals), weight))
             fixed = SoftRows.stack([soft.fixed, rows], len(self._offset))
-            targets = np.vstack([problem.targets, np.repeat(averages, 2, axis=0)])
+            targets = np.vstack([problem.targets, goals])
             solution = self._solve(SoftSystem(compliance, fixed, soft.areas), replace(problem, targets=targets))
-        return solution, LipReport(deepest[0], deepest[-1], held.count, len(deepest) - 1)
+        return solution, LipReport(deepest[0], deepest[-1], held.contacts.count, len(deepest) - 1)
 
     def _state(
         self, moved: FloatArray, wanted: FloatArray, bones: Bones, solution: CondensedSolution, lips: LipReport
