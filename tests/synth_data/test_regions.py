@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 
 from retarget.check import InvalidInput
+from retarget.io.regions import decode, encode
 from retarget.types import FloatArray, Regions
 from synth_data.makehuman.author_regions import author_regions
 from synth_data.makehuman.head import BaseHead
 from synth_data.makehuman.identities import WIDTHS, IdentitySampler, measure
-from synth_data.makehuman.regions import decode, encode, load_regions
+from synth_data.makehuman.regions import load_regions
 from synth_data.makehuman.subdivide import subdivide
 from synth_data.makehuman.targets import Targets, load_head
 
