@@ -1,4 +1,4 @@
-"""Regions as a JSON file: one line per name, sets as runs such as ``"0-6 9 12-20"``, so that changes can be reviewed."""
+"""Regions as a JSON file: a line per name, sets as runs such as ``"0-6 9 12-20"``, so that changes can be reviewed."""
 
 from __future__ import annotations
 
