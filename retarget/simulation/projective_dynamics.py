@@ -5,22 +5,25 @@ Minimised, lengths in mm and volumes V_t in cm^3, as a number without dimension:
     E(x) =  sum_t strain_t min_{R in SO(3)} ||F_t - R||^2
           + sum_t volume_t min_{det D = 1}  ||F_t - D||^2
           + sum_k target_k ||(P x - s)_k||^2 / (10 mm)^2                            eqs (11) to (14)
+          - sum_v f_v . (x - X)_v                                                   external forces, in 1/mm
 
 over the free vertices; the fixed ones (skull) are Dirichlet data. One factor serves all iterations and all targets.
 """
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from retarget.check import InvalidInput, check_vertices
+from retarget.simulation.anderson import Anderson
 from retarget.simulation.factor import factorise
-from retarget.simulation.local_step import LocalStep, TetrahedralEnergy
+from retarget.simulation.local_step import TetrahedralEnergy
 from retarget.simulation.tetrahedra import RestShape, gradient_operator
 from retarget.types import FloatArray, IntArray, SolveInfo, Status
 
@@ -66,6 +69,7 @@ class SolverSettings:
     step_tolerance: float = 0.01  # mm, rms over the free vertices
     anderson_depth: int = 5  # 0 is plain projective dynamics
     repair_inverted_start: bool = False  # accept a start with inverted tets; the projections pull them back
+    single_precision: bool = True  # of the projections; energies reach a relative accuracy of 1e-7
     backend: str = "cholespy"
 
     def __post_init__(self) -> None:
@@ -83,6 +87,28 @@ class Equilibrium:
     info: SolveInfo  # energy at the start and after each iteration
     rms_steps: tuple[float, ...]  # mm, one per iteration
     inverted: int  # tets with det F <= 0 at the result
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What one solve is given; None stands for nothing, or for what there is at rest."""
+
+    targets: FloatArray | None = None  # s (k, 3) mm
+    fixed_positions: FloatArray | None = None  # (c, 3) mm, of the fixed vertices in ascending order of their index
+    start: FloatArray | None = None  # (n, 3) mm, used as it is but for the fixed vertices
+    near: tuple[FloatArray, FloatArray] | None = None  # vertices (n, 3) and targets (k, 3) mm of a solved neighbour
+    forces: FloatArray | None = None  # (n, 3) in 1/mm
+
+
+@dataclass(frozen=True)
+class _Evaluation:
+    energy: float
+    stored: float  # the part that is never negative: all but the forces' potential
+    descent: FloatArray  # (f, 3), of the free vertices
+    inverted: int
+
+
+_Iteration = Generator[FloatArray, FloatArray, Equilibrium]  # yields right-hand sides, takes solutions
 
 
 class ProjectiveDynamics:
@@ -111,12 +137,10 @@ class ProjectiveDynamics:
         self.free: IntArray = np.setdiff1d(np.arange(n), self.fixed)
         if len(self.free) == 0:
             raise InvalidInput("fixed: expected at least one free vertex, got none.")
-        self._embed = sp.csr_array((0, n)) if target_operator is None else sp.csr_array(target_operator)
-        if self._embed.shape[1] != n:
-            raise InvalidInput(f"target_operator: expected {n} columns, one per vertex, got {self._embed.shape}.")
-        self._pull = (
-            np.broadcast_to(np.asarray(target_weights, dtype=np.float64), self._embed.shape[:1]) / LENGTH_UNIT**2
-        )
+        embed = sp.csr_array((0, n)) if target_operator is None else sp.csr_array(target_operator)
+        if embed.shape[1] != n:
+            raise InvalidInput(f"target_operator: expected {n} columns, one per vertex, got {embed.shape}.")
+        self._pull = np.broadcast_to(np.asarray(target_weights, dtype=np.float64), embed.shape[:1]) / LENGTH_UNIT**2
         if not (np.isfinite(self._pull).all() and (self._pull >= 0).all()):
             raise InvalidInput("target_weights: expected finite numbers >= 0.")
         for name, w in (("strain", weights.strain), ("volume", weights.volume)):
@@ -124,154 +148,177 @@ class ProjectiveDynamics:
                 raise InvalidInput(
                     f"weights.{name}: expected finite numbers >= 0, one for each of {len(shape.tets)} tets."
                 )
-        self._tissue = TetrahedralEnergy(shape, weights.strain, weights.volume)
         gradient = gradient_operator(shape)
         per_row = np.repeat(weights.strain + weights.volume, 3)
         matrix = gradient.T @ sp.diags_array(per_row) @ gradient
-        matrix = matrix + self._embed.T @ sp.diags_array(self._pull) @ self._embed
-        matrix = sp.csr_array(matrix)[self.free][:, self.free]
-        self._factor = factorise(matrix, "projective dynamics", self.settings.backend)
+        matrix = sp.csr_array(matrix + embed.T @ sp.diags_array(self._pull) @ embed)
 
-    def energy_and_descent(self, vertices: FloatArray, targets: FloatArray | None = None) -> tuple[float, FloatArray]:
-        """E and minus half its gradient (n, 3) at vertices (n, 3), for targets s (k, 3) mm."""
-        energy, descent, _ = self._evaluate(vertices, self._targets(targets))
-        return energy, descent
+        # Inside, free vertices come first, neighbours close together; their coordinates are one block of memory.
+        banded = reverse_cuthill_mckee(sp.csr_matrix(matrix[self.free][:, self.free]), symmetric_mode=True)
+        self._order = np.concatenate([self.free[banded], self.fixed])
+        self._place = np.argsort(self._order)
+        count = len(self.free)
+        self._rest = shape.vertices[self._order]
+        self._tissue = TetrahedralEnergy(
+            replace(shape, tets=self._place[shape.tets], vertices=self._rest),
+            weights.strain,
+            weights.volume,
+            self.settings.single_precision,
+        )
+        self._embed = sp.csr_array(embed[:, self._order])
+        self._gather = sp.csr_array(self._embed[:, :count].T)
+        matrix = sp.csr_array(matrix[self._order[:count]][:, self._order])
+        self._from_fixed = matrix[:, count:]
+        self._factor = factorise(matrix[:, :count], "projective dynamics", self.settings.backend)
 
-    def _targets(self, targets: FloatArray | None) -> FloatArray:
-        count = self._embed.shape[0]
-        return check_vertices("targets", np.empty((0, 3)) if targets is None else targets, count)
-
-    def _evaluate(self, x: FloatArray, targets: FloatArray) -> tuple[float, FloatArray, LocalStep]:
-        local = self._tissue(x)
-        miss = targets - self._embed @ x
-        energy = local.energy + float(np.einsum("k,kc,kc", self._pull, miss, miss))  # eq. (14)
-        return energy, local.descent + self._embed.T @ (self._pull[:, None] * miss), local  # eq. (13)
+    def energy_and_descent(
+        self, vertices: FloatArray, targets: FloatArray | None = None, forces: FloatArray | None = None
+    ) -> tuple[float, FloatArray]:
+        """E and minus half its gradient (n, 3), 0 at fixed vertices, at vertices (n, 3) for targets s (k, 3) mm."""
+        found = self._evaluate(vertices[self._order], self._targets(targets), self._forces(forces))
+        descent = np.zeros_like(self._rest)
+        descent[: len(self.free)] = found.descent
+        return found.energy, descent[self._place]
 
     def solve(
         self,
         targets: FloatArray | None = None,
         fixed_positions: FloatArray | None = None,
         start: FloatArray | None = None,
+        near: tuple[FloatArray, FloatArray] | None = None,
+        forces: FloatArray | None = None,
     ) -> Equilibrium:
-        """Minimise from start (n, 3) mm, the rest shape by default; targets (k, 3) mm, fixed_positions (c, 3) mm.
+        """Minimise, from `start` (n, 3) mm where given: targets (k, 3) mm, fixed_positions (c, 3) mm, forces (n, 3).
 
+        Otherwise from a solved neighbour `near`, vertices and targets, by default the rest shape, to which the
+        harmonic extension of the *change* in targets and fixed vertices is added: one solve, no projection.
         The fixed vertices are in ascending order of their index, at rest by default. A start with NaN or, unless
-        `repair_inverted_start`, inverted tets (after the fixed vertices moved) ends with FAILED.
+        `repair_inverted_start`, inverted tets (after the fixed vertices moved) ends with FAILED; an extension
+        may invert tets and goes on.
         Raises InvalidInput for targets and fixed positions that are not finite or of another count.
         """
-        goal = self._targets(targets)
-        x = np.array(self.shape.vertices if start is None else start, dtype=np.float64)
-        if x.shape != self.shape.vertices.shape:
-            raise InvalidInput(f"start: expected {self.shape.vertices.shape}, got {x.shape}.")
-        if fixed_positions is not None:
-            x[self.fixed] = check_vertices("fixed_positions", fixed_positions, len(self.fixed))
-        elif start is not None:
-            x[self.fixed] = self.shape.vertices[self.fixed]
+        return self.solve_many([Problem(targets, fixed_positions, start, near, forces)])[0]
+
+    def solve_many(self, problems: Sequence[Problem]) -> list[Equilibrium]:
+        """As `solve`, each problem by itself, but with one back-substitution for all of them in each round."""
+        running = {number: self._minimise(problem) for number, problem in enumerate(problems)}
+        ended: dict[int, Equilibrium] = {}
+        right = self._advance(running, dict.fromkeys(running), ended)
+        while right:
+            columns = self._factor.solve(np.hstack(list(right.values())))
+            solved = dict(zip(right, np.split(columns, len(right), axis=1), strict=True))
+            right = self._advance(running, solved, ended)
+        return [ended[number] for number in range(len(problems))]
+
+    @staticmethod
+    def _advance(
+        running: dict[int, _Iteration], solved: dict[int, FloatArray] | dict[int, None], ended: dict[int, Equilibrium]
+    ) -> dict[int, FloatArray]:
+        """Hand each iteration its solution; the right-hand sides of those that go on."""
+        right = {}
+        for number, solution in solved.items():
+            try:
+                right[number] = running[number].send(solution)  # type: ignore[arg-type]
+            except StopIteration as stop:
+                ended[number] = stop.value
+        return right
+
+    def _minimise(self, problem: Problem) -> _Iteration:
+        goal, forces = self._targets(problem.targets), self._forces(problem.forces)
+        count = len(self.free)
+        wanted = self._rest[count:]
+        if problem.fixed_positions is not None:
+            wanted = check_vertices("fixed_positions", problem.fixed_positions, len(self.fixed))
+        if problem.start is not None:
+            x = self._inside("start", problem.start)
+            x[count:] = wanted
+        else:
+            near, goal_there = problem.near or (self.shape.vertices, None)
+            x = self._inside("near", near)
+            change = goal - (self._embed @ x if goal_there is None else self._targets(goal_there))
+            right = self._gather @ (self._pull[:, None] * change) - self._from_fixed @ (wanted - x[count:])
+            x[count:] = wanted
+            if right.any():
+                x[:count] += yield right
         if not np.isfinite(x).all():
             return self._failed("start: not finite")
-        energy, descent, local = self._evaluate(x, goal)
-        if local.inverted and not self.settings.repair_inverted_start:
-            return self._failed(f"start: {local.inverted} tets are inverted or flat", (energy,))
-        return self._iterate(x, goal, energy, descent, local)
+        current = self._evaluate(x, goal, forces)
+        if current.inverted and problem.start is not None and not self.settings.repair_inverted_start:
+            return self._failed(f"start: {current.inverted} tets are inverted or flat", (current.energy,))
+        return (yield from self._iterate(x, current, goal, forces))
 
-    def _iterate(
-        self, x: FloatArray, goal: FloatArray, energy: float, descent: FloatArray, local: LocalStep
-    ) -> Equilibrium:
-        settings, free = self.settings, self.free
-        energies, steps = [energy], []
+    def _inside(self, name: str, vertices: FloatArray) -> FloatArray:
+        v = np.asarray(vertices, dtype=np.float64)
+        if v.shape != self.shape.vertices.shape:
+            raise InvalidInput(f"{name}: expected {self.shape.vertices.shape}, got {v.shape}.")
+        return v[self._order]
+
+    def _targets(self, targets: FloatArray | None) -> FloatArray:
+        count = self._embed.shape[0]
+        return check_vertices("targets", np.empty((0, 3)) if targets is None else targets, count)
+
+    def _forces(self, forces: FloatArray | None) -> FloatArray | None:
+        if forces is None:
+            return None
+        return check_vertices("forces", forces, len(self._order))[self._order[: len(self.free)]]
+
+    def _evaluate(self, x: FloatArray, goal: FloatArray, forces: FloatArray | None) -> _Evaluation:
+        local, count = self._tissue(x), len(self.free)
+        miss = goal - self._embed @ x
+        pull = self._pull[:, None] * miss
+        stored = local.energy + float(np.einsum("kc,kc", pull, miss))  # eqs (13), (14)
+        descent = local.descent[:count] + self._gather @ pull
+        energy = stored
+        if forces is not None:
+            energy -= float(np.einsum("vc,vc", forces, x[:count] - self._rest[:count]))
+            descent += 0.5 * forces
+        return _Evaluation(energy, stored, descent, local.inverted)
+
+    def _iterate(self, x: FloatArray, current: _Evaluation, goal: FloatArray, forces: FloatArray | None) -> _Iteration:
+        settings, count = self.settings, len(self.free)
+        energies, steps = [current.energy], []
         accelerate = Anderson(settings.anderson_depth)
         for _ in range(settings.max_iterations):
-            residual = self._factor.solve(descent[free])  # global step: x + residual is the plain iterate
-            move = accelerate(x[free], residual)
+            residual = yield current.descent  # global step: x + residual is the plain iterate
+            move = accelerate(x[:count], residual)
             moved = x.copy()
-            moved[free] += move
-            candidate = self._evaluate(moved, goal)
-            if not candidate[0] <= energy and move is not residual:  # safeguard: the plain iterate never ascends
-                accelerate.restart()
+            moved[:count] += move
+            candidate = self._evaluate(moved, goal, forces)
+            if not candidate.energy <= current.energy and move is not residual:
+                accelerate.restart()  # safeguard: the plain iterate never ascends
                 move = residual
-                moved[free] = x[free] + move
-                candidate = self._evaluate(moved, goal)
-            if not np.isfinite(candidate[0]):
+                moved[:count] = x[:count] + move
+                candidate = self._evaluate(moved, goal, forces)
+            if not np.isfinite(candidate.energy):
                 return self._failed("the energy is not finite", tuple(energies))
-            step = float(np.sqrt((move**2).sum(axis=1).mean()))
+            step = float(np.sqrt(np.einsum("vc,vc", move, move) / count))
             # At rounding level even the plain iterate may ascend: stay.
-            ascended = candidate[0] > energy
+            ascended = candidate.energy > current.energy
             if not ascended:
-                change = energy - candidate[0]
-                x, (energy, descent, local) = moved, candidate
-                energies.append(energy)
+                change = current.energy - candidate.energy
+                x, current = moved, candidate
+                energies.append(current.energy)
                 steps.append(step)
             if ascended or (
-                (change <= settings.energy_tolerance * energy or energy <= self._negligible)
+                (change <= settings.energy_tolerance * current.stored or current.stored <= self._negligible)
                 and (step <= settings.step_tolerance)
             ):
-                return self._ended(Status.CONVERGED, x, energies, steps, local)
-        return self._ended(Status.MAX_ITERATIONS, x, energies, steps, local)
+                return self._ended(Status.CONVERGED, x, energies, steps, current.inverted)
+        return self._ended(Status.MAX_ITERATIONS, x, energies, steps, current.inverted)
 
     @property
     def _negligible(self) -> float:
-        return 1e-14 * float(self.shape.volumes.sum())
+        return (1e-11 if self.settings.single_precision else 1e-14) * float(self.shape.volumes.sum())
 
     def _ended(
-        self, status: Status, x: FloatArray, energies: list[float], steps: list[float], local: LocalStep
+        self, status: Status, x: FloatArray, energies: list[float], steps: list[float], inverted: int
     ) -> Equilibrium:
-        message = f"{local.inverted} inverted tets" if local.inverted else ""
-        return Equilibrium(x, SolveInfo(status, len(steps), tuple(energies), message), tuple(steps), local.inverted)
+        message = f"{inverted} inverted tets" if inverted else ""
+        info = SolveInfo(status, len(steps), tuple(energies), message)
+        return Equilibrium(x[self._place], info, tuple(steps), inverted)
 
     def _failed(self, message: str, energies: tuple[float, ...] = ()) -> Equilibrium:
         finite = tuple(e for e in energies if np.isfinite(e))
         return Equilibrium(
             self.shape.vertices.copy(), SolveInfo(Status.FAILED, max(len(finite) - 1, 0), finite, message), (), 0
         )
-
-
-class Anderson:
-    """Anderson acceleration, type II (Walker and Ni 2011): the step that a fixed-point iteration should take next."""
-
-    def __init__(self, depth: int) -> None:
-        self.depth = depth
-        self.restart()
-
-    def restart(self) -> None:
-        """Forget the history; the next step is plain."""
-        self._last: tuple[FloatArray, FloatArray] | None = None
-        self._states: deque[FloatArray] = deque(maxlen=max(self.depth, 1))
-        self._residuals: deque[FloatArray] = deque(maxlen=max(self.depth, 1))
-        self._products: FloatArray = np.empty((0, 0))
-
-    def __call__(self, state: FloatArray, residual: FloatArray) -> FloatArray:
-        """The step from `state`, where the plain one is `residual`; returns `residual` itself without a history."""
-        if self.depth == 0:
-            return residual
-        if self._last is not None:
-            self._states.append(state - self._last[0])
-            self._residuals.append(residual - self._last[1])
-            self._extend_products()
-        self._last = state, residual
-        if not self._residuals:
-            return residual
-        right = np.array([_dot(r, residual) for r in self._residuals])
-        ridge = 1e-12 * np.trace(self._products) * np.eye(len(right))
-        try:
-            weights = np.linalg.solve(self._products + ridge, right)
-        except np.linalg.LinAlgError:
-            return residual
-        step = residual.copy()
-        for weight, change, change_of_residual in zip(weights, self._states, self._residuals, strict=True):
-            step -= weight * (change + change_of_residual)
-        return step
-
-    def _extend_products(self) -> None:
-        """Inner products of the residual changes: drop the oldest, add the newest."""
-        kept = self._products[-(len(self._residuals) - 1) :, -(len(self._residuals) - 1) :]
-        m = len(self._residuals)
-        products = np.empty((m, m))
-        if m > 1:
-            products[:-1, :-1] = kept
-        products[-1] = products[:, -1] = [_dot(self._residuals[-1], r) for r in self._residuals]
-        self._products = products
-
-
-def _dot(a: FloatArray, b: FloatArray) -> float:
-    """Inner product without BLAS, whose waiting threads would hold up those of the local step."""
-    return float(np.einsum("vc,vc", a, b))
