@@ -41,8 +41,8 @@ class Anderson:
         self._count += 1
         kept = min(self._count, self.depth)
         dots = np.zeros((CHUNKS, 2, kept))
-        flat = [np.ascontiguousarray(a).reshape(-1) for a in (state, residual, *last)]
-        _remember(*flat, self._steps, self._changes, slot, dots)
+        new, plain, *old = (np.ascontiguousarray(a).reshape(-1) for a in (state, residual, *last))
+        _remember(new, plain, old[0], old[1], self._steps, self._changes, slot, dots)
         against_newest, right = dots.sum(axis=0)
         self._products[slot, :kept] = self._products[:kept, slot] = against_newest
         products = self._products[:kept, :kept]
@@ -51,7 +51,7 @@ class Anderson:
         except np.linalg.LinAlgError:
             return residual
         step = np.empty(residual.size)
-        _combine(flat[1], weights, self._steps, step)
+        _combine(plain, weights, self._steps, step)
         return step.reshape(residual.shape)
 
 

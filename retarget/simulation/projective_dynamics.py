@@ -171,6 +171,11 @@ class ProjectiveDynamics:
         self._from_fixed = matrix[:, count:]
         self._factor = factorise(matrix[:, :count], "projective dynamics", self.settings.backend)
 
+    def seen(self, vertices: FloatArray) -> FloatArray:
+        """P x (k, 3) mm: where the points that have targets are, for vertices (n, 3) mm."""
+        points: FloatArray = self._embed @ vertices[self._order]
+        return points
+
     def energy_and_descent(
         self, vertices: FloatArray, targets: FloatArray | None = None, forces: FloatArray | None = None
     ) -> tuple[float, FloatArray]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from numba import njit, prange
 from numpy.typing import ArrayLike
 
 from retarget.check import InvalidInput, check_vertices
@@ -62,7 +63,19 @@ def rest_shape(vertices: ArrayLike, tets: ArrayLike, relative: float = 1e-9) -> 
 
 def deformation_gradients(shape: RestShape, vertices: FloatArray) -> FloatArray:
     """(t, 3, 3) deformation gradients F, without unit, of vertices (n, 3) mm: F maps rest edges to deformed ones."""
-    return edges(vertices, shape.tets) @ shape.inverse
+    gradients = np.empty((len(shape.tets), 3, 3))
+    _gradients(np.ascontiguousarray(vertices, dtype=np.float64), shape.tets, shape.inverse, gradients)
+    return gradients
+
+
+@njit(cache=True, parallel=True)
+def _gradients(x, tets, inverse, gradients):  # type: ignore[no-untyped-def]
+    for t in prange(len(tets)):
+        v0, v1, v2, v3 = tets[t]
+        for j in range(3):
+            a, b, c = x[v1, j] - x[v0, j], x[v2, j] - x[v0, j], x[v3, j] - x[v0, j]
+            for k in range(3):
+                gradients[t, j, k] = a * inverse[t, 0, k] + b * inverse[t, 1, k] + c * inverse[t, 2, k]
 
 
 def hat_gradients(shape: RestShape) -> FloatArray:

@@ -1,0 +1,225 @@
+"""The inverse simulation invSim of eq. (8): what soft tissue, muscle and bones of a head do to form an expression.
+
+Bones are placed first, by rigid fits; then eq. (14) is minimised over all other vertices by projective dynamics.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from retarget.anatomy.head import Head
+from retarget.check import InvalidInput, check_frames, check_vertices
+from retarget.simulation.bones import fit_bones, place_bones
+from retarget.simulation.local_step import paper_energy
+from retarget.simulation.projections import closest_rotation
+from retarget.simulation.projective_dynamics import (
+    LENGTH_UNIT,
+    Equilibrium,
+    Problem,
+    ProjectiveDynamics,
+    SolverSettings,
+    TissueWeights,
+    tissue_weights,
+)
+from retarget.simulation.soft_terms import Handles, handle_points
+from retarget.simulation.state import Bones, HeadState
+from retarget.simulation.surface import carried_by_skin, vertex_areas
+from retarget.simulation.tetrahedra import deformation_gradients, rest_shape
+from retarget.suggest import choose
+from retarget.types import FloatArray, Status
+
+PAPER_SKIN, PAPER_TETS = 29_826, 126_612 + 107_437  # Table 2
+EPSILON = 1e-9  # of the predictor's least squares, relative to the largest change
+
+
+@dataclass(frozen=True)
+class InverseSettings:
+    """Weights of eq. (14), the form of eq. (13), and the solver's tolerances."""
+
+    w_soft: float = 1.0  # w_S of Table 3
+    w_muscle: float = 1.0  # w_M of Table 3
+    w_target: float = 100.0  # w_tar of Table 3
+    muscle_strain: float = 0.05  # see `tissue_weights`
+    surface: Literal["soft", "hard"] = "soft"  # hard: see `surface.carried_by_skin`
+    history: int = 6  # expressions that `stream` predicts the next one from
+    solver: SolverSettings = field(default_factory=lambda: SolverSettings(energy_tolerance=1e-3))
+
+    def __post_init__(self) -> None:
+        choose("surface", self.surface, ("soft", "hard"))
+        if not (np.isfinite(self.w_target) and self.w_target > 0 and self.history >= 1):
+            raise InvalidInput(
+                "InverseSettings: expected a finite w_target > 0 and history >= 1, "
+                f"got {self.w_target} and {self.history}."
+            )
+
+
+@dataclass(frozen=True)
+class _Posed:
+    """An expression as the solver takes it."""
+
+    bones: Bones
+    targets: FloatArray  # (k, 3) mm
+    fixed: FloatArray  # (c, 3) mm
+
+
+class InverseSimulation:
+    """invSim of eq. (8) for one head, with everything made that does not depend on the expression."""
+
+    def __init__(
+        self,
+        head: Head,
+        settings: InverseSettings | None = None,
+        stiffness: ArrayLike = 1.0,
+        handles: Handles | None = None,
+    ) -> None:
+        """stiffness: factors (t,) > 0 of the tets' weights, or one number; see `materials.region_stiffness`.
+
+        handles are points with targets of their own in every call.
+        Raises InvalidInput for what does not fit, NotPositiveDefinite if neither bone nor skin holds the head.
+        """
+        self.head, self.settings = head, settings or InverseSettings()
+        template, rules = head.template, self.settings
+        self.shape = rest_shape(head.vertices, template.tets)
+        factors = np.broadcast_to(np.asarray(stiffness, dtype=np.float64), self.shape.volumes.shape)
+        if not (np.isfinite(factors).all() and (factors > 0).all()):
+            raise InvalidInput(f"stiffness: expected finite numbers > 0, one or one for each of {len(factors)} tets.")
+        weights = tissue_weights(self.shape, template.muscle, rules.w_soft, rules.w_muscle, rules.muscle_strain)
+        self.weights = TissueWeights(weights.strain * factors, weights.volume * factors)
+
+        fixed = template.fixed
+        if rules.surface == "hard":
+            self._outer, self._carry = carried_by_skin(head)
+            fixed = np.union1d(fixed, self._outer)
+        self._handle_count, self._handle_offset = 0, np.empty((0, 3))
+        operators, pulls = [], []
+        if rules.surface == "soft":
+            operators.append(template.embedding)
+            pulls.append(self._target_weights())
+        if handles is not None:
+            rows, self._handle_offset, pull = handle_points(head, handles)
+            self._handle_count = handles.count
+            operators.append(rows)
+            pulls.append(pull * LENGTH_UNIT**2)
+        self.solver = ProjectiveDynamics(
+            self.shape,
+            self.weights,
+            fixed,
+            sp.csr_array(sp.vstack(operators)) if operators else None,
+            np.concatenate(pulls) if pulls else 0.0,
+            rules.solver,
+        )
+        self._mass = np.bincount(template.tets.ravel(), np.repeat(self.shape.volumes / 4, 4), len(head.vertices))
+
+    def _target_weights(self) -> FloatArray:
+        """w_tar per vertex of the skin, such that heads and meshes of any size balance tissue and target alike.
+
+        Eqs (11) to (13) add up 234,049 tets of weight one and 29,826 skin vertices; here the same totals are spread by
+        volume and by area.  # differs from the paper: which has one mesh and needs no norm
+        """
+        areas = vertex_areas(self.head.skin, self.head.template.faces)
+        total = self.settings.w_target * PAPER_SKIN * self.shape.volumes.sum() / PAPER_TETS
+        weights: FloatArray = total * areas / areas.sum()
+        return weights
+
+    def __call__(
+        self,
+        skin: FloatArray,
+        near: HeadState | None = None,
+        handles: FloatArray | None = None,
+        gravity: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> HeadState:
+        """The head that forms the expression `skin` (n, 3) mm; `near` is a solved one to start from, if not rest.
+
+        handles: (h, 3) mm, where those of the constructor should go. gravity: (3,) in 1/mm, a *change*, from
+        `materials.weight_change`. Where the solve fails, `info.status` is FAILED and the head is at rest.
+        Raises InvalidInput for skin that does not fit, is not finite, is not stabilised or opens the jaw too far.
+        """
+        posed = self._pose(skin, handles)
+        known = None if near is None else (near.vertices, self._seen(near.vertices))
+        return self._state(posed, self.solver.solve_many([self._problem(posed, known, gravity)])[0])
+
+    def batch(self, skins: FloatArray, size: int = 16) -> list[HeadState]:
+        """Expressions (b, n, 3) mm, each from rest and independent of the others, `size` in one back-substitution."""
+        frames = check_frames("expressions", skins, len(self.head.skin))
+        states = []
+        for first in range(0, len(frames), size):
+            posed = [self._pose(skin, None) for skin in frames[first : first + size]]
+            solved = self.solver.solve_many([self._problem(p, None, (0.0, 0.0, 0.0)) for p in posed])
+            states += [self._state(*pair) for pair in zip(posed, solved, strict=True)]
+        return states
+
+    def stream(self, skins: Iterable[FloatArray]) -> Iterator[HeadState]:
+        """An animation, one expression (n, 3) mm at a time, each predicted from those before it.
+
+        The prediction is the affine combination of the last expressions that comes closest on the skin, to which the
+        solver adds the harmonic extension of what is left.
+        """
+        known: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=self.settings.history)
+        known.append((self.head.vertices, self._seen(self.head.vertices)))
+        for skin in skins:
+            posed = self._pose(skin, None)
+            found = self.solver.solve_many([self._problem(posed, _predicted(known, posed.targets), (0.0, 0.0, 0.0))])[0]
+            if found.info.status is not Status.FAILED:
+                known.append((found.vertices, posed.targets))
+            yield self._state(posed, found)
+
+    def paper_energy(self, state: HeadState) -> float:
+        """Eqs (11) and (12) as printed, tets weighted as in eq. (14) and by volume in cm^3."""
+        rotations = closest_rotation(state.gradients)
+        return paper_energy(state.gradients, rotations, self.weights.strain, self.weights.volume)
+
+    def _pose(self, skin: FloatArray, handles: FloatArray | None) -> _Posed:
+        """Step 1 of section 3.3.2, and the targets of step 2."""
+        head, template = self.head, self.head.template
+        skin = check_vertices("expression", skin, len(head.skin))
+        bones = fit_bones(head, skin)
+        if (handles is None) != (self._handle_count == 0):
+            raise InvalidInput(
+                f"handles: this simulation was made with {self._handle_count}, expected a target (3,) mm for each of "
+                f"them, got {'none' if handles is None else len(handles)}."
+            )
+        targets = [skin - head.residual] if self.settings.surface == "soft" else []  # eq. (13) through the embedding
+        if handles is not None:
+            targets.append(check_vertices("handles", handles, self._handle_count) - self._handle_offset)
+        moved = head.vertices.copy()
+        if self.settings.surface == "hard":
+            moved[self._outer] += self._carry @ (skin - head.skin)
+        moved[template.fixed] = place_bones(head, bones)
+        return _Posed(bones, np.vstack([np.empty((0, 3)), *targets]), moved[self.solver.fixed])
+
+    def _seen(self, vertices: FloatArray) -> FloatArray:
+        """(k, 3) mm: where the points that have targets are."""
+        return self.solver.seen(vertices)
+
+    def _problem(self, posed: _Posed, near: tuple[FloatArray, FloatArray] | None, gravity: ArrayLike) -> Problem:
+        force = np.asarray(gravity, dtype=np.float64)
+        forces = self._mass[:, None] * force if force.any() else None
+        return Problem(posed.targets, posed.fixed, near=near, forces=forces)
+
+    def _state(self, posed: _Posed, found: Equilibrium) -> HeadState:
+        head = self.head
+        skin = head.template.embedding @ found.vertices + head.residual
+        return HeadState(
+            found.vertices, skin, deformation_gradients(self.shape, found.vertices), posed.bones, found.info
+        )
+
+
+def _predicted(known: deque[tuple[FloatArray, FloatArray]], targets: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The affine combination of known (vertices, targets) whose targets are closest to those wanted."""
+    vertices, last = known[-1]
+    changes = np.stack([goal - last for _, goal in list(known)[:-1]] or [np.zeros_like(last)]).reshape(-1, last.size)
+    products = changes @ changes.T
+    ridge = EPSILON * np.trace(products) + np.finfo(float).tiny
+    weights = np.linalg.solve(products + ridge * np.eye(len(products)), changes @ (targets - last).ravel())
+    combined, goal = vertices.copy(), last.copy()
+    for weight, (shape, seen) in zip(weights, list(known)[:-1], strict=False):
+        combined += weight * (shape - vertices)
+        goal += weight * (seen - last)
+    return combined, goal

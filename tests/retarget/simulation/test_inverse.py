@@ -1,0 +1,202 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from retarget.anatomy.head import Head
+from retarget.check import InvalidInput
+from retarget.simulation.inverse import InverseSettings, InverseSimulation
+from retarget.simulation.materials import region_stiffness, weight_change
+from retarget.simulation.projective_dynamics import SolverSettings
+from retarget.simulation.soft_terms import Handles
+from retarget.simulation.surface import carried_by_skin, vertex_areas
+from retarget.simulation.tetrahedra import deformation_gradients
+from retarget.types import Status
+from tests.retarget.simulation.box_head import box_head, box_template
+
+EXACT = SolverSettings(max_iterations=500, energy_tolerance=1e-12, step_tolerance=1e-8, single_precision=False)
+
+
+@pytest.fixture(scope="module")
+def head() -> Head:
+    return box_head()
+
+
+@pytest.fixture(scope="module")
+def simulation(head):
+    return InverseSimulation(head)
+
+
+@pytest.fixture(scope="module")
+def exact(head):
+    return InverseSimulation(head, InverseSettings(solver=EXACT))
+
+
+def jaw_drop(head, degrees=12.0):
+    """The lower half of the skin turns about the jaw joints; what is above the mouth stays."""
+    angle = np.radians(degrees)
+    turn = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
+    pivot = head.condyles.mean(axis=0)
+    lower = head.skin[:, 1] < 28 - 0.1
+    return np.where(lower[:, None], (head.skin - pivot) @ turn.T + pivot, head.skin)
+
+
+def cheek(head, height=3.0):
+    distance = ((head.skin - [18.0, 30.0, 20.0]) ** 2).sum(axis=1)
+    return head.skin + height * np.exp(-distance / 80)[:, None] * [0.3, 0.1, 1.0]
+
+
+def expressions(head, count=6):
+    return np.stack([head.skin + t * (cheek(head) - head.skin) for t in np.linspace(0.2, 1.0, count)])
+
+
+def test_the_neutral_gives_the_neutral(head, simulation):
+    state = simulation(head.skin)
+    assert state.info.status is Status.CONVERGED
+    np.testing.assert_allclose(state.vertices, head.vertices, atol=1e-5)
+    np.testing.assert_allclose(state.skin, head.skin, atol=1e-5)
+    np.testing.assert_allclose(state.gradients, np.broadcast_to(np.eye(3), state.gradients.shape), atol=1e-5)
+    assert simulation.paper_energy(state) < 1e-8
+
+
+def test_a_state_is_of_one_piece(head, simulation):
+    state = simulation(cheek(head))
+    template = head.template
+    np.testing.assert_allclose(state.skin, template.embedding @ state.vertices + head.residual, atol=1e-12)
+    np.testing.assert_array_equal(state.gradients, deformation_gradients(simulation.shape, state.vertices))
+    np.testing.assert_allclose(
+        state.vertices[template.cranium], state.bones.cranium(head.vertices[template.cranium]), atol=1e-9
+    )
+    assert np.abs(state.skin - cheek(head)).max() < 1.0
+
+
+def test_a_full_jaw_drop_from_rest_converges(head, simulation):
+    state = simulation(jaw_drop(head))
+    assert state.info.status is Status.CONVERGED
+    energy = np.array(state.info.energy)
+    assert (np.diff(energy) <= 0).all()
+    jaw = head.template.jaw
+    moved = np.linalg.norm(state.vertices[jaw] - head.vertices[jaw], axis=1)
+    assert moved.min() > 2.0
+    assert np.isfinite(state.gradients).all()
+
+
+def test_a_stiffer_target_comes_closer(head):
+    wanted = cheek(head)
+    misses = []
+    for weight in (10.0, 100.0, 1000.0):
+        state = InverseSimulation(head, InverseSettings(w_target=weight))(wanted)
+        misses.append(np.sqrt(((state.skin - wanted) ** 2).mean()))
+    assert misses[0] > 2 * misses[1] > 4 * misses[2]
+
+
+def test_the_balance_of_tissue_and_target_does_not_depend_on_the_mesh():
+    """Same slab, same bulge, twice the resolution: the miss stays, where weights per vertex would divide it by four."""
+    misses = []
+    for cells in ((16, 14, 5), (32, 28, 10)):
+        head = box_head(box_template(cells))
+        wanted = cheek(head)
+        state = InverseSimulation(head)(wanted)
+        area = vertex_areas(head.skin, head.template.faces)
+        misses.append(np.sqrt(area @ ((state.skin - wanted) ** 2).sum(axis=1) / area.sum()))
+    assert misses[1] == pytest.approx(misses[0], rel=0.35)
+
+
+def test_a_batch_is_the_same_as_one_by_one(head, exact):
+    skins = np.stack([*expressions(head, 3), jaw_drop(head, 6.0)])
+    together = exact.batch(skins, size=3)
+    for skin, state in zip(skins, together, strict=True):
+        alone = exact(skin)
+        np.testing.assert_allclose(state.vertices, alone.vertices, atol=1e-6)
+        assert state.info.status is alone.info.status
+
+
+def test_a_stream_finds_the_same_states_in_fewer_iterations(head, exact, simulation):
+    skins = expressions(head)
+    for state, skin in zip(exact.stream(skins), skins, strict=True):
+        np.testing.assert_allclose(state.vertices, exact(skin).vertices, atol=1e-4)
+    streamed = [state.info.iterations for state in simulation.stream(skins)]
+    assert sum(streamed) < sum(simulation(skin).info.iterations for skin in skins)
+
+
+def test_a_solved_neighbour_is_a_start(head, exact):
+    wanted = cheek(head)
+    first = exact(wanted)
+    again = exact(wanted, near=first)
+    np.testing.assert_allclose(again.vertices, first.vertices, atol=1e-5)
+    assert again.info.energy[0] < 1.5 * first.info.energy[-1]
+
+
+def test_the_hard_surface_moves_with_the_skin(head):
+    outer, carry = carried_by_skin(head)
+    assert not np.isin(outer, head.template.skull).any()
+    np.testing.assert_allclose(np.asarray(carry.sum(axis=1)).ravel(), 1)
+    np.testing.assert_allclose(carry @ head.skin, head.vertices[outer], atol=1e-9)  # outer vertices lie on this skin
+    wanted = cheek(head)
+    hard = InverseSimulation(head, InverseSettings(surface="hard"))(wanted)
+    assert hard.info.status is Status.CONVERGED
+    np.testing.assert_allclose(hard.vertices[outer] - head.vertices[outer], carry @ (wanted - head.skin), atol=1e-9)
+    soft = InverseSimulation(head, InverseSettings(w_target=1e5))(wanted)
+    np.testing.assert_allclose(soft.vertices, hard.vertices, atol=0.35)
+
+
+def test_artistic_control(head, simulation):
+    """A pulled point follows, stiff regions deform less, and weight lowers what no bone holds."""
+    tip = int(np.argmin(((head.skin - [18.0, 30.0, 20.0]) ** 2).sum(axis=1)))
+    handled = InverseSimulation(head, handles=Handles(skin=np.array([tip]), weights=100.0))
+    state = handled(head.skin, handles=head.skin[[tip]] + [0, 0, 2.0])
+    assert state.skin[tip, 2] - head.skin[tip, 2] > 0.3
+    with pytest.raises(InvalidInput, match="made with 1, expected a target"):
+        handled(head.skin)
+    with pytest.raises(InvalidInput, match="made with 0"):
+        simulation(head.skin, handles=head.skin[[tip]])
+
+    loose = InverseSettings(w_target=1.0)
+    stiffness = region_stiffness(head, {"upper_lip": 20.0})
+    members = head.template.regions.vertices["upper_lip"]
+    pulled = np.where(
+        np.isin(np.arange(len(head.skin)), members)[:, None], head.skin + np.array([0, 0, 2.0]), head.skin
+    )
+    lifts = [
+        (InverseSimulation(head, loose, stiffness=s)(pulled).skin - head.skin)[members, 2].mean()
+        for s in (1.0, stiffness)
+    ]
+    assert lifts[1] < 0.8 * lifts[0]
+
+    heavy = simulation(head.skin, gravity=weight_change((0, -98.1, 0), (0, 0, 0)))
+    assert (heavy.skin - head.skin)[:, 1].mean() < -1e-3
+
+
+def test_one_thread_and_two_give_the_same(head, simulation):
+    import numba
+
+    before, states = numba.get_num_threads(), []
+    for threads in sorted({1, before}):
+        numba.set_num_threads(threads)
+        states.append(simulation(cheek(head)))
+    numba.set_num_threads(before)
+    np.testing.assert_allclose(states[0].vertices, states[-1].vertices, atol=1e-9)
+
+
+def test_double_precision_changes_nothing_that_counts(head, simulation):
+    settings = InverseSettings()
+    double = InverseSimulation(head, replace(settings, solver=replace(settings.solver, single_precision=False)))
+    for skin in (cheek(head), jaw_drop(head, 8.0)):
+        np.testing.assert_allclose(double(skin).vertices, simulation(skin).vertices, atol=1e-3)
+
+
+def test_bad_input_is_refused(head, simulation):
+    with pytest.raises(InvalidInput, match="expression: 1 vertices are NaN"):
+        simulation(np.where(np.arange(len(head.skin))[:, None] == 3, np.nan, head.skin))
+    with pytest.raises(InvalidInput, match="expression: expected"):
+        simulation(head.skin[1:])
+    with pytest.raises(InvalidInput, match="keeps still"):
+        simulation(head.skin + np.array([0, 0, 1.5]))
+    with pytest.raises(InvalidInput, match="opens as jaws can"):
+        simulation(jaw_drop(head, 60.0))
+    with pytest.raises(InvalidInput, match="surface"):
+        InverseSettings(surface="firm")
+    with pytest.raises(InvalidInput, match="w_target > 0"):
+        InverseSettings(w_target=0.0)
+    with pytest.raises(InvalidInput, match="stiffness: expected"):
+        InverseSimulation(head, stiffness=-1.0)
