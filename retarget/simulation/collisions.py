@@ -8,6 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from numba import njit
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from retarget.check import InvalidInput
 from retarget.types import FloatArray, IntArray, Regions
@@ -120,7 +121,7 @@ class Lips:
                 )
         upper, lower = parts
         corners = np.intersect1d(upper, lower)
-        self.vertices: IntArray = np.union1d(upper, lower)
+        self.vertices = _from_where_they_meet(rest, upper, lower)
         self._upper_faces = np.ascontiguousarray(faces[np.isin(faces, upper).all(axis=1)])
         self._lower_faces = np.ascontiguousarray(faces[np.isin(faces, lower).all(axis=1)])
         self._upper, self._lower = np.setdiff1d(upper, corners), np.setdiff1d(lower, corners)
@@ -133,6 +134,16 @@ class Lips:
         below = _passed(x, self._lower, self._upper_faces, 1.0, trigger)
         above = _passed(x, self._upper, self._lower_faces, -1.0, trigger)
         return Contacts(*(np.concatenate(pair) for pair in zip(below, above, strict=True)))
+
+
+def _from_where_they_meet(rest: FloatArray, upper: IntArray, lower: IntArray) -> IntArray:
+    """All vertices of the lips, those nearest to the other lip first."""
+    distance = np.full(len(rest), np.inf)
+    for mine, other in ((upper, lower), (lower, upper)):
+        distance[mine] = np.minimum(distance[mine], cKDTree(rest[other]).query(rest[mine])[0])
+    both = np.union1d(upper, lower)
+    order: IntArray = both[np.argsort(distance[both], kind="stable")]
+    return order
 
 
 @njit(cache=True)

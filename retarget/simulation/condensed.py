@@ -25,47 +25,62 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from retarget.simulation.area_terms import project
 from retarget.simulation.factor import Factor
 from retarget.simulation.projective_dynamics import Anderson
-from retarget.types import FloatArray, Status
+from retarget.types import FloatArray, IntArray, Status
 
 BLOCK = 48  # right-hand sides per solve while the compliance is made
 
 
 class CondensedSystem:
-    """The factor of A (n, n) and the compliance K (m, m) of points C (m, n)."""
+    """The factor of A (n, n) and the compliance K (m, m) of points C (m, n).
 
-    def __init__(self, factor: Factor, points: sp.csr_array) -> None:
+    Rows of K are made when they are first needed, in `blocks` that do not depend on what was needed before, so the
+    same question has the same answer to the bit. compliance[i] is valid where known[i].
+    """
+
+    def __init__(self, factor: Factor, points: sp.csr_array, blocks: Sequence[IntArray]) -> None:
+        """blocks: sets of points that together hold every point once; the first is made at once."""
         self.factor, self.points = factor, points
-        self.compliance = _compliance(factor, points)
+        m = points.shape[0]
+        self.compliance = np.empty((m, m))
+        self.known = np.zeros(m, dtype=bool)
+        self._blocks = list(blocks)
+        self._block_of = np.empty(m, dtype=np.int64)
+        for number, block in enumerate(blocks):
+            self._block_of[block] = number
+        self.require(blocks[0])
+
+    def require(self, points: IntArray) -> None:
+        """Make the rows of K of these points, where they are missing."""
+        for number in np.unique(self._block_of[points[~self.known[points]]]):
+            block = self._blocks[number]
+            self.compliance[block] = _responses(self.factor, self.points, self.points[block]).T
+            self.known[block] = True
 
     def with_points(self, more: sp.csr_array) -> CondensedSystem:
         """The system with further points (h, n) under the present ones; only their columns are computed."""
+        m, h = self.points.shape[0], more.shape[0]
         new = CondensedSystem.__new__(CondensedSystem)
         new.factor, new.points = self.factor, sp.csr_array(sp.vstack([self.points, more]))
         across = _responses(self.factor, new.points, more)
-        corner = across[len(self.compliance) :]
-        across = across[: len(self.compliance)]
-        new.compliance = np.block([[self.compliance, across], [across.T, 0.5 * (corner + corner.T)]])
+        new.compliance = np.block([[self.compliance, across[:m]], [across.T]])
+        new.known = np.concatenate([self.known, np.ones(h, dtype=bool)])
+        new._blocks = [*self._blocks, np.arange(m, m + h)]
+        new._block_of = np.concatenate([self._block_of, np.full(h, len(self._blocks))])
         return new
 
     def free(self, rhs: FloatArray) -> FloatArray:
         """x0 (n, 3) for b (n, 3): the minimum without soft terms."""
         return self.factor.solve(rhs)
 
+    def shifts(self, forces: FloatArray) -> FloatArray:
+        """K f (m, 3): what forces f (m, 3), on points with a known row, move the points by."""
+        pulled = np.flatnonzero(forces.any(axis=1))
+        moved: FloatArray = self.compliance[pulled].T @ forces[pulled]
+        return moved
+
     def pulled(self, forces: FloatArray) -> FloatArray:
-        """A^-1 C^T f (n, 3): what forces f (m, 3) at the points add."""
+        """A^-1 C^T f (n, 3): what forces f (m, 3) at the points move the vertices by."""
         return self.factor.solve(self.points.T @ forces)
-
-
-def _compliance(factor: Factor, points: sp.csr_array) -> FloatArray:
-    """K = C A^-1 C^T (m, m), by way of the vertices that C uses where these are fewer than the points."""
-    support = np.unique(points.indices)
-    if len(support) < points.shape[0]:
-        among = _responses(factor, *[sp.csr_array(sp.eye_array(factor.size, format="csr")[support])] * 2)
-        onto = points[:, support]
-        result = onto @ (onto @ among).T
-    else:
-        result = _responses(factor, points, points)
-    return 0.5 * (result + result.T)
 
 
 def _responses(factor: Factor, rows: sp.csr_array, columns: sp.csr_array) -> FloatArray:
@@ -118,9 +133,10 @@ class CondensedSolution:
 class SoftSystem:
     """The dense system of one set of soft rows: `fixed` with given targets, `areas` (2 k) with wanted area ratios."""
 
-    def __init__(self, compliance: FloatArray, fixed: SoftRows, areas: SoftRows) -> None:
+    def __init__(self, system: CondensedSystem, fixed: SoftRows, areas: SoftRows) -> None:
         self.fixed, self.areas = fixed, areas
-        from_fixed, from_areas = fixed.operator @ compliance, areas.operator @ compliance
+        system.require(np.union1d(fixed.operator.indices, areas.operator.indices))
+        from_fixed, from_areas = fixed.operator @ system.compliance, areas.operator @ system.compliance
         across = from_fixed @ areas.operator.T
         inner = from_fixed @ fixed.operator.T
         inner[np.diag_indices_from(inner)] += 1 / fixed.weights

@@ -24,13 +24,13 @@ from retarget.check import InvalidInput, check_vertices
 from retarget.simulation.bones import carry_bones, place_bones
 from retarget.simulation.characteristics import Characteristics
 from retarget.simulation.collisions import Held, Lips
-from retarget.simulation.condensed import CondensedSolution, CondensedSystem, SoftProblem, SoftRows, SoftSystem
+from retarget.simulation.condensed import BLOCK, CondensedSolution, CondensedSystem, SoftProblem, SoftRows, SoftSystem
 from retarget.simulation.factor import factorise
 from retarget.simulation.gradient_energy import GradientEnergy
 from retarget.simulation.soft_terms import NONE, Goals, Handles, SoftTerms, SoftWeights, handle_points
 from retarget.simulation.state import Bones, HeadState
 from retarget.simulation.tetrahedra import rest_shape
-from retarget.types import FloatArray, SolveInfo, Status
+from retarget.types import FloatArray, IntArray, SolveInfo, Status
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class ForwardSettings:
     w_soft: float = 1.0  # w_nabla-S of Table 3
     w_muscle: float = 1.0  # w_nabla-M of Table 3
     w_lip_contour: float = 10.0  # w_F of Table 3
-    w_eye_opening: float = 100.0  # differs from the paper: w_F has another unit here, see `area_terms`
-    w_eye_socket: float = 100.0
+    w_eye_opening: float = 10.0  # as well; see `area_terms` for its unit
+    w_eye_socket: float = 10.0
     area_tolerance: float = 1e-5  # rms change of the triangles' gradients in one iteration
     area_iterations: int = 200
     collisions: bool = True  # step 3
@@ -105,8 +105,17 @@ class ForwardSimulation:
         matrix = self._tissue.matrix()
         self._from_fixed = matrix[self._free][:, self._fixed]
         factor = factorise(matrix[self._free][:, self._free], "forward simulation", rules.backend)
-        self._system = self._without_handles = CondensedSystem(factor, self._points[:, self._free])
+        self._system = self._without_handles = CondensedSystem(factor, self._points[:, self._free], self._blocks())
         self._soft: dict[tuple[str, ...], SoftSystem] = {}
+
+    def _blocks(self) -> list[IntArray]:
+        """The points of the terms, needed in every frame, then the lips', from where they meet outwards."""
+        if not self._lips:
+            return [np.arange(len(self._terms.skin))]
+        lips = self._terms.place[self._lips.vertices]
+        others = np.setdiff1d(np.arange(len(self._terms.skin)), self._terms.used)
+        lips = lips[np.isin(lips, others)]
+        return [self._terms.used, *np.split(lips, np.arange(BLOCK, len(lips), BLOCK))]
 
     def with_handles(self, handles: Handles) -> ForwardSimulation:
         """The same simulation with these handles in place of any others. Nothing is factorised again.
@@ -178,7 +187,7 @@ class ForwardSimulation:
             count = len(self._offset)
             fixed, areas = self._terms.rows(goals)
             fixed = SoftRows.stack([fixed, self._handles] if handles else [fixed], count)
-            self._soft[key] = SoftSystem(self._system.compliance, fixed, SoftRows.stack([areas], count))
+            self._soft[key] = SoftSystem(self._system, fixed, SoftRows.stack([areas], count))
         return self._soft[key]
 
     def _solve(self, soft: SoftSystem, problem: SoftProblem) -> CondensedSolution:
@@ -192,22 +201,24 @@ class ForwardSimulation:
         # differs from the paper: which resolves once. Points that hang on the same tets cannot all be held where they
         # should, and new ones meet; so those that are still inside are pushed on, further in each round.
         """
-        rules, compliance, count = self.settings, self._system.compliance, len(self._terms.skin)
-        weight = rules.collision_stiffness / np.mean(np.diag(compliance)[self._terms.place[lips.vertices]])
+        rules, system, count = self.settings, self._system, len(self._terms.skin)
         skin = np.zeros_like(self.head.skin)  # the points alone are filled in
         held, deepest = Held.none(), []
         for turn in range(rules.collision_rounds + 1):
-            skin[self._terms.skin] = (problem.points + compliance @ solution.forces)[:count]
+            skin[self._terms.skin] = (problem.points + system.shifts(solution.forces))[:count]
             found = lips.contacts(skin)
             deepest.append(found.deepest)
             if not found.count or turn == rules.collision_rounds:
                 break
             held = held.renewed(found, skin, push=turn + 2.0)
             operator, goals = held.rows(len(skin))
+            points = self._terms.place[held.contacts.points]
+            system.require(points)
+            weight = rules.collision_stiffness / system.compliance[points, points].mean()
             rows = SoftRows(operator[:, self._terms.skin], np.full(len(goals), weight))
             fixed = SoftRows.stack([soft.fixed, rows], len(self._offset))
             targets = np.vstack([problem.targets, goals])
-            solution = self._solve(SoftSystem(compliance, fixed, soft.areas), replace(problem, targets=targets))
+            solution = self._solve(SoftSystem(self._system, fixed, soft.areas), replace(problem, targets=targets))
         return solution, LipReport(deepest[0], deepest[-1], held.contacts.count, len(deepest) - 1)
 
     def _state(
@@ -219,7 +230,7 @@ class ForwardSimulation:
             rest = np.broadcast_to(np.eye(3), gradients.shape).copy()
             info = SolveInfo(Status.FAILED, 0, (), "the result is not finite")
             return ForwardState(head.vertices.copy(), head.skin.copy(), rest, bones, info)
-        free = tissue - float(np.vdot(solution.forces, self._system.compliance @ solution.forces))  # of x0
+        free = tissue - float(np.vdot(solution.forces, self._system.shifts(solution.forces)))  # of x0
         energy = tuple(free + e for e in solution.energy)
         message = ""
         if lips.rounds:

@@ -50,23 +50,24 @@ class GradientEnergy:
         return float(energies.sum()), gradients.reshape(-1, 3, 3)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, fastmath={"contract", "reassoc"})
 def _scatter(tets, inverse, weights, order, wanted, bounds, ranges, parts):  # type: ignore[no-untyped-def]
     for chunk in prange(len(bounds) - 1):
-        part = parts[chunk]
-        part[ranges[chunk, 0] : ranges[chunk, 1]] = 0.0
+        parts[chunk, ranges[chunk, 0] : ranges[chunk, 1]] = 0.0
         for t in range(bounds[chunk], bounds[chunk + 1]):
-            v0, v1, v2, v3 = tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3]
-            m, d, w = inverse[t], wanted[order[t]], weights[t]
+            v0, v1, v2, v3, o, w = tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3], order[t], weights[t]
+            m0, m1, m2 = inverse[t, 0] * w, inverse[t, 1] * w, inverse[t, 2] * w
+            m3, m4, m5 = inverse[t, 3] * w, inverse[t, 4] * w, inverse[t, 5] * w
+            m6, m7, m8 = inverse[t, 6] * w, inverse[t, 7] * w, inverse[t, 8] * w
             for j in range(3):
-                u, v, s = w * d[3 * j], w * d[3 * j + 1], w * d[3 * j + 2]
-                a = u * m[0] + v * m[1] + s * m[2]
-                b = u * m[3] + v * m[4] + s * m[5]
-                c = u * m[6] + v * m[7] + s * m[8]
-                part[v0, j] -= a + b + c
-                part[v1, j] += a
-                part[v2, j] += b
-                part[v3, j] += c
+                u, v, s = wanted[o, 3 * j], wanted[o, 3 * j + 1], wanted[o, 3 * j + 2]
+                a = u * m0 + v * m1 + s * m2
+                b = u * m3 + v * m4 + s * m5
+                c = u * m6 + v * m7 + s * m8
+                parts[chunk, v0, j] -= a + b + c
+                parts[chunk, v1, j] += a
+                parts[chunk, v2, j] += b
+                parts[chunk, v3, j] += c
 
 
 @njit(cache=True, parallel=True)
@@ -81,20 +82,23 @@ def _gather(parts, ranges, total):  # type: ignore[no-untyped-def]
         total[v, 0], total[v, 1], total[v, 2] = x, y, z
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, fastmath={"contract", "reassoc"})  # NaN keeps its meaning
 def _evaluate(x, tets, inverse, weights, order, wanted, bounds, gradients, energies):  # type: ignore[no-untyped-def]
     for chunk in prange(len(bounds) - 1):
         energy = 0.0
         for t in range(bounds[chunk], bounds[chunk + 1]):
-            v0, v1, v2, v3 = tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3]
-            m, d, f = inverse[t], wanted[order[t]], gradients[order[t]]
+            v0, v1, v2, v3, o = tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3], order[t]
+            m0, m1, m2 = inverse[t, 0], inverse[t, 1], inverse[t, 2]
+            m3, m4, m5 = inverse[t, 3], inverse[t, 4], inverse[t, 5]
+            m6, m7, m8 = inverse[t, 6], inverse[t, 7], inverse[t, 8]
             squared = 0.0
             for j in range(3):
                 a, b, c = x[v1, j] - x[v0, j], x[v2, j] - x[v0, j], x[v3, j] - x[v0, j]
-                f[3 * j] = a * m[0] + b * m[3] + c * m[6]
-                f[3 * j + 1] = a * m[1] + b * m[4] + c * m[7]
-                f[3 * j + 2] = a * m[2] + b * m[5] + c * m[8]
-                for k in range(3 * j, 3 * j + 3):
-                    squared += (f[k] - d[k]) ** 2
+                f0 = a * m0 + b * m3 + c * m6
+                f1 = a * m1 + b * m4 + c * m7
+                f2 = a * m2 + b * m5 + c * m8
+                d0, d1, d2 = f0 - wanted[o, 3 * j], f1 - wanted[o, 3 * j + 1], f2 - wanted[o, 3 * j + 2]
+                squared += d0 * d0 + d1 * d1 + d2 * d2
+                gradients[o, 3 * j], gradients[o, 3 * j + 1], gradients[o, 3 * j + 2] = f0, f1, f2
             energy += weights[t] * squared
         energies[chunk] = energy

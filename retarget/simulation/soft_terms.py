@@ -61,12 +61,14 @@ class SoftTerms:
             term: np.concatenate([regions.patches.get(name, np.empty((0, 3), np.int64)) for name in names])
             for term, names in (("eye_opening", EYE_OPENINGS), ("eye_socket", EYE_SOCKETS))
         }
-        self.skin = np.unique(np.concatenate([contour, *(t.ravel() for t in triangles.values()), more]))  # (p,)
+        used = np.concatenate([contour, *(faces.ravel() for faces in triangles.values())])
+        self.skin = np.union1d(used, more)  # (p,)
         self.points = sp.csr_array(head.template.embedding[self.skin])  # C (p, m)
         self.offset = head.residual[self.skin]  # (p, 3) mm
         self.place = np.full(len(head.skin), -1)  # of each skin vertex among the points
         self.place[self.skin] = np.arange(len(self.skin))
 
+        self.used = self.place[np.unique(used)]  # points of the terms themselves
         self._rows = {}
         self._kept: dict[str, IntArray] = {}
         self._counts = {"lip_contour": len(contour)} | {term: len(t) for term, t in triangles.items()}
