@@ -13,6 +13,7 @@ from retarget.types import FloatArray, IntArray, Regions
 LANDMARKS = (
     "nasion", "pronasale", "subnasale", "stomion_upper", "menton", "cheilion_left", "cheilion_right",
     "endocanthion_left", "endocanthion_right", "exocanthion_left", "exocanthion_right", "tragion_left", "tragion_right",
+    "gonion_left", "gonion_right",
 )  # fmt: skip
 """What a person should pick at least; every further name of the reference makes the result better."""
 LEAST = 6  # landmarks

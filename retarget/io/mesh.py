@@ -50,7 +50,8 @@ def _read_obj(path: Path) -> tuple[FloatArray, IntArray]:
             kind, *fields = line.split() or [""]
             try:
                 if kind == "v":
-                    vertices.append([float(x) for x in fields[:3]])
+                    x, y, z = fields[:3]
+                    vertices.append([float(x), float(y), float(z)])
                 elif kind == "f":
                     corners = [int(corner.split("/")[0]) for corner in fields]
                     polygon = [c - 1 if c > 0 else len(vertices) + c for c in corners]
