@@ -15,7 +15,7 @@ def label_bones(skin: FloatArray, regions: Regions, vertices: FloatArray, skull:
 
     The jaw lies below the plane through jaw joints and mouth corners, and before the line from the joints to the jaw
     angles; the cranium lies above or behind. Both planes hold the axis of the joints, hence they are the same for
-    every pose of one head. Raises InvalidInput if a landmark is missing or if either bone is empty.
+    every pose of one head. Raises InvalidInput if either bone is empty.
     """
     joint, mouth, angle = _midpoints(skin, regions)
     axis = regions.points["condyle_left"](skin) - regions.points["condyle_right"](skin)
@@ -34,14 +34,6 @@ def label_bones(skin: FloatArray, regions: Regions, vertices: FloatArray, skull:
 
 def _midpoints(skin: FloatArray, regions: Regions) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(3,) mm between the jaw joints, the mouth corners and the jaw angles."""
-    sides = ("left", "right")
-    missing = [f"landmarks[{n}_{s}]" for n in ("cheilion", "gonion") for s in sides if f"{n}_{s}" not in regions.landmarks]
-    missing += [f"points[condyle_{s}]" for s in sides if f"condyle_{s}" not in regions.points]
-    if missing:
-        raise InvalidInput(
-            f"regions: expected what separates jaw and cranium, {', '.join(missing)} missing; add them to the "
-            "topology's regions, docs/regions.md says what each name means."
-        )
     joint = 0.5 * (regions.points["condyle_left"](skin) + regions.points["condyle_right"](skin))
     mouth, angle = (
         0.5 * (skin[regions.landmarks[f"{name}_left"]] + skin[regions.landmarks[f"{name}_right"]])

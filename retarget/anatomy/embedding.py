@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from retarget.anatomy.boundary import boundary_faces
@@ -11,7 +12,7 @@ from retarget.check import InvalidInput
 from retarget.types import FloatArray, IntArray
 
 LARGEST_OFFSET = 4.0  # mm from a skin vertex to the tets' boundary; more means that they are of another surface
-LARGEST_WEIGHT = 1.5  # of a vertex extrapolated out of its tet; in a sliver, the closest boundary point stands in
+LARGEST_WEIGHT = 1.5  # by magnitude, of a vertex extrapolated out of its tet
 _CANDIDATES = 24  # boundary triangles looked at for each skin vertex
 
 
@@ -20,9 +21,9 @@ def embed(skin: FloatArray, faces: IntArray, vertices: FloatArray, tets: IntArra
 
     A skin vertex belongs to the tet behind the closest triangle of the tets' boundary that faces as the skin does
     there, so that nothing is embedded across the mouth or an eye. Its weights are barycentric coordinates, slightly
-    extrapolated as the skin lies up to the mesher's envelope off the boundary; where they would exceed
-    `LARGEST_WEIGHT`, those of the closest point on the triangle. Raises InvalidInput for skin farther than
-    `LARGEST_OFFSET` from the boundary.
+    extrapolated where the skin lies outside; where they would exceed `LARGEST_WEIGHT`, as in a sliver, the tet nearby
+    that extrapolates least takes its place, or at last the closest point of the triangle, which leaves a residual.
+    Raises InvalidInput for skin farther than `LARGEST_OFFSET` from the boundary.
     """
     triangles, owner = boundary_faces(tets)
     corners = vertices[triangles]
@@ -34,28 +35,37 @@ def embed(skin: FloatArray, faces: IntArray, vertices: FloatArray, tets: IntArra
     local = _closest_on_triangle(np.repeat(skin, near.shape[1], axis=0), corners[flat])
     closest = np.einsum("ij,ijk->ik", local, corners[flat]).reshape(*near.shape, 3)
     distance = np.linalg.norm(closest - skin[:, None], axis=2)
-    facing = np.einsum("ijk,ik->ij", outward[near], normals) > 0
+    facing: NDArray[np.bool_] = np.einsum("ijk,ik->ij", outward[near], normals) > 0
     best = np.argmin(np.where(facing, distance, distance + 1e3), axis=1)
     rows = np.arange(len(skin))
     if not (distance[rows, best] <= LARGEST_OFFSET).all():
-        worst = int(np.argmax(distance[rows, best]))
+        offset = distance[rows, best]
+        worst = int(np.argmax(offset))
         raise InvalidInput(
-            f"skin: expected it within {LARGEST_OFFSET:g} mm of the tets' boundary, got {distance[worst, best[worst]]:.1f}"
-            f" mm at vertex {worst}; the tets are of another surface."
+            f"skin: expected it within {LARGEST_OFFSET:g} mm of the tets' boundary, got {offset[worst]:.1f} mm at "
+            f"vertex {worst}; the tets are of another surface."
         )
-    chosen = near[rows, best]
-    tet = tets[owner[chosen]]
+    tet = tets[owner[near[rows, best]]]
     weights = _barycentric(skin, vertices[tet])
     wild = np.flatnonzero(np.abs(weights).max(axis=1) > LARGEST_WEIGHT)
-    on_triangle = local.reshape(*near.shape, 3)[wild, best[wild]]
-    same = tet[wild][:, :, None] == triangles[chosen[wild]][:, None, :]
-    weights[wild] = np.einsum("ijk,ik->ij", same, on_triangle)
+    for row in wild:
+        around = tets[owner[near[row, facing[row]]]]
+        options = _barycentric(np.repeat(skin[row : row + 1], len(around), axis=0), vertices[around])
+        least = int(np.argmin(np.abs(options).max(axis=1)))
+        if np.abs(options[least]).max() <= LARGEST_WEIGHT:
+            tet[row], weights[row] = around[least], options[least]
+        else:
+            on_triangle = local.reshape(*near.shape, 3)[row, best[row]]
+            by_vertex = dict(zip(triangles[near[row, best[row]]].tolist(), on_triangle.tolist(), strict=True))
+            weights[row] = [by_vertex.get(vertex, 0.0) for vertex in tet[row].tolist()]
     return sp.csr_array((weights.ravel(), (np.repeat(rows, 4), tet.ravel())), shape=(len(skin), len(vertices)))
 
 
 def _vertex_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """(n, 3) sums of the normals of the triangles at each vertex, weighted by area."""
-    face_normals = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
+    face_normals = np.cross(
+        vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]]
+    )
     normals = np.zeros_like(vertices)
     for corner in range(3):
         np.add.at(normals, faces[:, corner], face_normals)

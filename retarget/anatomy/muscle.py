@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from retarget.anatomy.distance import Surface, closest
+from retarget.anatomy.distance import distance_to
 from retarget.geometry.graph import components, vertex_adjacency
 from retarget.types import FloatArray, IntArray, Regions
 
@@ -27,10 +27,10 @@ def muscle_tets(
     centroids = vertices[tets].mean(axis=1)
     mouth = np.zeros(len(skin), dtype=bool)
     mouth[_mouth_cavity(faces, regions, len(skin))] = True
-    to_skin = _distance((skin, faces[~mouth[faces].any(axis=1)]), centroids)
-    to_inner = _distance((vertices, skull), centroids)
+    to_skin = distance_to((skin, faces[~mouth[faces].any(axis=1)]), centroids)
+    to_inner = distance_to((vertices, skull), centroids)
     if mouth.any():
-        to_inner = np.minimum(to_inner, _distance((skin, faces[mouth[faces].all(axis=1)]), centroids))
+        to_inner = np.minimum(to_inner, distance_to((skin, faces[mouth[faces].all(axis=1)]), centroids))
     covered = np.zeros(len(skin), dtype=bool)
     covered[regions.vertices["face"]] = True
     for name in SOFT:
@@ -54,8 +54,3 @@ def _mouth_cavity(faces: IntArray, regions: Regions, count: int) -> IntArray:
     parts = [inside[part] for part in components(adjacency[inside][:, inside])]
     found = [part for part in parts if touching[part].any()]
     return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
-
-
-def _distance(surface: Surface, points: FloatArray) -> FloatArray:
-    distance: FloatArray = np.linalg.norm(closest(surface, points) - points, axis=1)
-    return distance

@@ -22,11 +22,12 @@ def sizing_field(skin: Surface, skull: Surface, regions: Regions) -> tuple[Float
     """Background points (p, 3) mm, tets (c, 4) and the edge length (p,) mm wanted at the points."""
     low, high = skin[0].min(axis=0) - _MARGIN, skin[0].max(axis=0) + _MARGIN
     shape = np.ceil((high - low) / _GRID).astype(int) + 1
-    grid = pv.ImageData(dimensions=tuple(shape), spacing=(_GRID,) * 3, origin=tuple(low)).to_tetrahedra(5)
+    box = pv.ImageData(dimensions=tuple(shape), spacing=(_GRID,) * 3, origin=tuple(low))
+    grid = box.to_tetrahedra()  # type: ignore[call-arg]  # its stub
     points = np.asarray(grid.points, dtype=np.float64)
     marks = [regions.loops[name] for name in FINE_LOOPS] + [[regions.landmarks["pronasale"]]]
     away, _ = cKDTree(skin[0][np.concatenate(marks)]).query(points)
     depth = np.minimum(signed_distance(skin, points), -signed_distance(skull, points))  # within the tissue
     wanted = np.minimum(FINEST + GROWTH * away, LARGEST) + np.minimum(INWARD * np.maximum(depth, 0.0), LARGEST)
     lengths = np.minimum(wanted + np.maximum(-depth - 3.0, 0.0), _AIR)
-    return points, np.asarray(grid.cells_dict[pv.CellType.TETRA], dtype=np.int64), lengths
+    return points, np.asarray(grid.cells.reshape(-1, 5)[:, 1:], dtype=np.int64), lengths

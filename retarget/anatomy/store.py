@@ -18,7 +18,7 @@ import platformdirs
 
 from retarget.anatomy.depths import depths_with_room, landmark_depths, load_depths
 from retarget.anatomy.head import HeadTemplate
-from retarget.anatomy.template import Progress, assemble, build_tissue
+from retarget.anatomy.template import Progress, assemble, build_tissue, check_regions, check_size
 from retarget.anatomy.tissue import Tissue
 from retarget.check import InvalidInput, check_faces, check_vertices
 from retarget.io.files import write_whole
@@ -43,7 +43,8 @@ def load_template(faces: IntArray, regions: Regions, size: str = "coarse", cache
 
     Raises InvalidInput if none is shipped for it or was stored in the `cache` folder by `store_template`.
     """
-    name = _file_name(faces)
+    check_size(size)
+    name = file_name(faces)
     with resources.as_file(resources.files(__package__) / SHIPPED / name) as shipped:
         stored = _read(shipped) or _read(_folder(cache) / name)
     if stored is None:
@@ -69,9 +70,10 @@ def store_template(
     """
     skin = check_vertices("surface", surface).astype(np.float32).astype(np.float64)  # as stored
     faces = check_faces("faces", faces, len(skin))
+    check_regions(regions)
     depths = landmark_depths(load_depths(), regions) if depths is None else depths
     depths = depths_with_room(skin, faces, regions, depths)
-    path, content = _folder(cache) / _file_name(faces), content_digest(skin, faces, regions, depths)
+    path, content = _folder(cache) / file_name(faces), content_digest(skin, faces, regions, depths)
     known = _read(path)
     if known is not None and known.content == content:
         progress("found in the cache")
@@ -128,7 +130,8 @@ def _read(path: Path) -> Stored | None:
         return None
 
 
-def _file_name(faces: IntArray) -> str:
+def file_name(faces: IntArray) -> str:
+    """Name of the file for a topology."""
     digest = hashlib.sha256(np.ascontiguousarray(faces, dtype=np.int64).tobytes()).hexdigest()
     return f"head-{digest[:16]}-{FORMAT}.npz"
 

@@ -14,13 +14,13 @@ from retarget.anatomy.bones import label_bones
 from retarget.anatomy.boundary import boundary_faces, enclosed_volume, signed_volumes
 from retarget.anatomy.closed import cap, check_closed
 from retarget.anatomy.depths import depths_with_room, landmark_depths, load_depths
-from retarget.anatomy.distance import Surface, closest
+from retarget.anatomy.distance import Surface, distance_to
 from retarget.anatomy.embedding import embed
 from retarget.anatomy.head import HeadTemplate
 from retarget.anatomy.mesher import tetrahedralise
 from retarget.anatomy.muscle import muscle_tets
-from retarget.anatomy.sizing import sizing_field
-from retarget.anatomy.skull import build_skull
+from retarget.anatomy.sizing import FINE_LOOPS, sizing_field
+from retarget.anatomy.skull import build_skull, check_parts
 from retarget.anatomy.tissue import Tissue, refine
 from retarget.check import InvalidInput, check_faces, check_vertices
 from retarget.simulation.tetrahedra import rest_shape
@@ -30,6 +30,12 @@ REFINEMENTS = {"coarse": 0, "paper": 1}  # steps of refinement by the name of a 
 ENVELOPE = 0.4  # mm between the tets' boundary and the surfaces
 QUALITY = 10.0  # AMIPS energy at which the mesher stops; 3 is the regular tet
 SKULL_TRIANGLES = 16_000  # handed to the mesher, which makes its own
+NEEDED = {  # beyond what the skull needs
+    "vertices": ("face",),
+    "loops": FINE_LOOPS,
+    "landmarks": ("cheilion_left", "cheilion_right"),
+    "points": ("condyle_left", "condyle_right"),
+}
 _LOST = 0.01  # share of the volume between skin and skull that the tets may miss
 
 Progress = Callable[[str], object]
@@ -49,8 +55,10 @@ def build_template(
     built before. Raises InvalidInput for a surface that is open elsewhere, crosses itself or holds NaN, for a region
     or landmark that is missing, and for depths that leave no room for a skull under the skin.
     """
+    check_size(size)
     skin = check_vertices("surface", surface)
     faces = check_faces("faces", faces, len(skin))
+    check_regions(regions)
     depths = landmark_depths(load_depths(), regions) if depths is None else depths
     depths = depths_with_room(skin, faces, regions, depths)
     return assemble(skin, faces, regions, depths, build_tissue(skin, faces, regions, depths, progress), size)
@@ -60,11 +68,13 @@ def build_tissue(
     skin: FloatArray, faces: IntArray, regions: Regions, depths: Mapping[str, float], progress: Progress
 ) -> Tissue:
     """Tets of the coarse size between the capped skin (n, 3) mm and the skull at `depths`; see `build_template`."""
+    check_regions(regions)
     progress("checking the surface")
     capped = cap("surface", skin, faces)
     check_closed("surface", *capped)
     progress("building the skull")
-    skull = _thinned(build_skull(*capped, regions, depths))
+    bone = build_skull(*capped, regions, depths)
+    skull = _thinned(bone.vertices, bone.faces)
     progress("sizing the tetrahedra")
     sizing = sizing_field(capped, skull, regions)
     both = np.vstack([capped[0], skull[0]]), np.vstack([capped[1], skull[1][:, ::-1] + len(capped[0])])
@@ -85,8 +95,8 @@ def assemble(
     skin: FloatArray, faces: IntArray, regions: Regions, depths: Mapping[str, float], tissue: Tissue, size: str
 ) -> HeadTemplate:
     """The template of a size from the coarse tissue: refined, embedded, bones labelled."""
-    if size not in REFINEMENTS:
-        raise InvalidInput(f"size: expected one of {', '.join(REFINEMENTS)}, got {size!r}.")
+    check_size(size)
+    check_regions(regions)
     for _ in range(REFINEMENTS[size]):
         tissue = refine(tissue)
     cranium, jaw = label_bones(skin, regions, tissue.vertices, np.unique(tissue.skull_faces))
@@ -105,9 +115,26 @@ def assemble(
     )
 
 
-def _thinned(skull: Surface) -> Surface:
+def check_size(size: str) -> None:
+    """Raises InvalidInput for a name that is none of the sizes."""
+    if size not in REFINEMENTS:
+        raise InvalidInput(f"size: expected one of {', '.join(REFINEMENTS)}, got {size!r}.")
+
+
+def check_regions(regions: Regions) -> None:
+    """Raises InvalidInput if a part that the template is built from is missing."""
+    check_parts(regions)
+    missing = [f"{part}[{n!r}]" for part, names in NEEDED.items() for n in names if n not in getattr(regions, part)]
+    if missing:
+        raise InvalidInput(
+            f"regions: expected what the head template needs, {', '.join(missing)} missing; docs/regions.md says what "
+            "each name means. Add it to the topology's regions."
+        )
+
+
+def _thinned(vertices: FloatArray, faces: IntArray) -> Surface:
     """The skull with fewer triangles, so that the mesher starts from fewer needles."""
-    mesh = pv.PolyData.from_regular_faces(*skull)  # type: ignore[arg-type]  # its stub wants int
+    mesh = pv.PolyData.from_regular_faces(vertices, faces)  # type: ignore[arg-type]  # its stub wants int
     mesh = mesh.decimate(max(0.0, 1 - SKULL_TRIANGLES / mesh.n_cells))
     return np.asarray(mesh.points, dtype=np.float64), np.asarray(mesh.regular_faces, dtype=np.int64)
 
@@ -116,13 +143,13 @@ def _skull_side(vertices: FloatArray, tets: IntArray, skin: Surface, skull: Surf
     """Boundary triangles (g, 3) nearer to the skull than to the skin, facing out of the bone."""
     triangles, _ = boundary_faces(tets)
     centres = vertices[triangles].mean(axis=1)
-    to_skin, to_skull = (np.linalg.norm(closest(s, centres) - centres, axis=1) for s in (skin, skull))
+    to_skin, to_skull = (distance_to(s, centres) for s in (skin, skull))
     faces: IntArray = triangles[to_skull < to_skin][:, ::-1]
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     _, uses = np.unique(edges, axis=0, return_counts=True)
     if len(faces) == 0 or (uses % 2).any():
         raise InvalidInput(
             f"skull: expected a closed boundary of the tets, got {int((uses % 2).sum())} open edges among {len(faces)} "
-            "triangles; the skull touches the skin. Smaller depths cannot help: check the landmarks."
+            "triangles; the skull touches the skin; check the landmarks and the depths."
         )
     return faces

@@ -37,7 +37,9 @@ def refine(tissue: Tissue) -> Tissue:
     ab, ac, ad, bc, bd, cd = middle.T
     a, b, c, d = tets.T
     corners = [(a, ab, ac, ad), (ab, b, bc, bd), (ac, bc, c, cd), (ad, bd, cd, d)]
-    shortest = np.argmin([np.linalg.norm(fine[middle[:, i]] - fine[middle[:, j]], axis=1) for i, j in _DIAGONALS], axis=0)
+    shortest = np.argmin(
+        [np.linalg.norm(fine[middle[:, i]] - fine[middle[:, j]], axis=1) for i, j in _DIAGONALS], axis=0
+    )
     # about each diagonal the other four midpoints in order, so that the four tets are positively oriented
     rings = ((ab, cd, (ac, ad, bd, bc)), (ac, bd, (ad, ab, bc, cd)), (ad, bc, (ab, ac, cd, bd)))
     inner = []
