@@ -14,6 +14,7 @@ from retarget.check import InvalidInput
 from retarget.types import FloatArray, IntArray, Regions
 
 TRIGGER = 0.05  # mm: shallower contacts are left alone, and those that are deeper in the neutral are no contacts
+SLICES, PATCH = 10, 16
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,8 @@ class Lips:
                 )
         upper, lower = parts
         corners = np.intersect1d(upper, lower)
-        self.vertices = _from_where_they_meet(rest, upper, lower)
+        self.vertices: IntArray = np.union1d(upper, lower)
+        self.patches = _patches(rest, upper, lower)  # of neighbours that tend to meet together
         self._upper_faces = np.ascontiguousarray(faces[np.isin(faces, upper).all(axis=1)])
         self._lower_faces = np.ascontiguousarray(faces[np.isin(faces, lower).all(axis=1)])
         self._upper, self._lower = np.setdiff1d(upper, corners), np.setdiff1d(lower, corners)
@@ -136,14 +138,18 @@ class Lips:
         return Contacts(*(np.concatenate(pair) for pair in zip(below, above, strict=True)))
 
 
-def _from_where_they_meet(rest: FloatArray, upper: IntArray, lower: IntArray) -> IntArray:
-    """All vertices of the lips, those nearest to the other lip first."""
+def _patches(rest: FloatArray, upper: IntArray, lower: IntArray) -> list[IntArray]:
+    """The vertices of both lips in sets of up to PATCH: slices from corner to corner, each cut by the distance to the
+    other lip."""
     distance = np.full(len(rest), np.inf)
     for mine, other in ((upper, lower), (lower, upper)):
         distance[mine] = np.minimum(distance[mine], cKDTree(rest[other]).query(rest[mine])[0])
     both = np.union1d(upper, lower)
-    order: IntArray = both[np.argsort(distance[both], kind="stable")]
-    return order
+    patches = []
+    for part in np.array_split(both[np.argsort(rest[both, 0], kind="stable")], SLICES):
+        outwards = part[np.argsort(distance[part], kind="stable")]
+        patches += [outwards[i : i + PATCH] for i in range(0, len(part), PATCH)]
+    return patches
 
 
 @njit(cache=True)

@@ -24,7 +24,7 @@ from retarget.check import InvalidInput, check_vertices
 from retarget.simulation.bones import carry_bones, place_bones
 from retarget.simulation.characteristics import Characteristics
 from retarget.simulation.collisions import Held, Lips
-from retarget.simulation.condensed import BLOCK, CondensedSolution, CondensedSystem, SoftProblem, SoftRows, SoftSystem
+from retarget.simulation.condensed import CondensedSolution, CondensedSystem, SoftProblem, SoftRows, SoftSystem
 from retarget.simulation.factor import factorise
 from retarget.simulation.gradient_energy import GradientEnergy
 from retarget.simulation.soft_terms import NONE, Goals, Handles, SoftTerms, SoftWeights, handle_points
@@ -109,13 +109,10 @@ class ForwardSimulation:
         self._soft: dict[tuple[str, ...], SoftSystem] = {}
 
     def _blocks(self) -> list[IntArray]:
-        """The points of the terms, needed in every frame, then the lips', from where they meet outwards."""
-        if not self._lips:
-            return [np.arange(len(self._terms.skin))]
-        lips = self._terms.place[self._lips.vertices]
-        others = np.setdiff1d(np.arange(len(self._terms.skin)), self._terms.used)
-        lips = lips[np.isin(lips, others)]
-        return [self._terms.used, *np.split(lips, np.arange(BLOCK, len(lips), BLOCK))]
+        """The points of the terms, needed in every frame, then those of the lips, which meet patch by patch."""
+        patches = self._lips.patches if self._lips else []
+        unused = [np.setdiff1d(self._terms.place[patch], self._terms.used) for patch in patches]
+        return [self._terms.used, *(patch for patch in unused if len(patch))]
 
     def with_handles(self, handles: Handles) -> ForwardSimulation:
         """The same simulation with these handles in place of any others. Nothing is factorised again.
