@@ -2,10 +2,11 @@
 
 Deformation gradient, projections, energies and right-hand side are computed for LANES tets at a time, component by
 component, so that the compiler emits vector instructions and nothing of the size of the mesh is written between.
-Most tets need no SVD: the closest rotation comes from Newton's iteration (Higham 1986) and the closest matrix of unit
-determinant from sequential linearisation, both where ||F - R||_F <= 1/3. There the latter is provably global: as
-det R = 1 the projection is at most 1/3 away, other stationary points are at least sigma_3 / 2 >= 1/3 away
-(see `projections.unit_product`). All other tets, the inverted ones among them, take a one-sided Jacobi SVD.
+Most tets need no SVD: the closest rotation comes from Newton's iteration (Higham 1986) and a stationary matrix D of
+unit determinant from sequential linearisation. D has the singular vectors of F, and d_i (d_i - sigma_i) = mu
+(see `projections.unit_product`). All d_i are positive if R^T D and its cofactor matrix have positive traces; then D
+is the closest one if det F <= 1, where mu >= 0 leaves no other choice, or if ||F - D|| <= sigma_3 / 2, as any other is
+farther away than that. All other tets, the inverted ones among them, take a one-sided Jacobi SVD.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ from retarget.simulation.tetrahedra import RestShape
 from retarget.types import FloatArray
 
 CHUNKS = 8  # fixed, so that sums have one order whatever the number of threads
-NEAR = 1.0 / 9.0  # ||F - R||^2 up to which the volume projection needs no SVD
 FLAT = 1e-3  # determinant up to which Newton's iteration is not tried
 # In double and in single precision, squared last step.
 POLAR_TOLERANCE = (1e-10, 1e-7)  # as convergence is quadratic, it bounds the error itself
@@ -305,23 +305,6 @@ def _linearise(m, goal, step):  # type: ignore[no-untyped-def]
         step[k] = u * u + v * v + w * w + o * o + p * p + q * q + x * x + y * y + z * z
 
 
-@njit(cache=True, fastmath=VECTORISE)
-def _squared_distance(p, q, squared):  # type: ignore[no-untyped-def]
-    p, q = p.reshape(-1), q.reshape(-1)
-    squared[:] = 0
-    for row in range(0, 9 * LANES, LANES):
-        for k in range(LANES):
-            difference = p[row + k] - q[row + k]
-            squared[k] += difference * difference
-
-
-@njit(cache=True)
-def _copy(source, target):  # type: ignore[no-untyped-def]
-    source, target = source.reshape(-1), target.reshape(-1)
-    for k in range(9 * LANES):
-        target[k] = source[k]
-
-
 @njit(cache=True)
 def _set_identity(m, k):  # type: ignore[no-untyped-def]
     for j in range(9):
@@ -337,41 +320,79 @@ def _all_below(values, bound):  # type: ignore[no-untyped-def]
     return above == 0
 
 
+@njit(cache=True, error_model="numpy", fastmath=VECTORISE)
+def _unit_scale(f, det, r, d):  # type: ignore[no-untyped-def]
+    """R and D <- F / cbrt(det F), roughly: what both iterations start from."""
+    f, r, d = f.reshape(-1), r.reshape(-1), d.reshape(-1)
+    two, three, four = det.dtype.type(2), det.dtype.type(3), det.dtype.type(4)
+    for k in range(LANES):
+        s = three / (two + det[k])
+        for _ in range(2):  # Newton for s^-3 = det
+            s = s * (four - det[k] * s * s * s) / three
+        for row in range(0, 9 * LANES, LANES):
+            r[row + k] = s * f[row + k]
+            d[row + k] = s * f[row + k]
+
+
+@njit(cache=True, error_model="numpy", fastmath=VECTORISE)
+def _judge(f, r, d, det, far, near, global_minimum):  # type: ignore[no-untyped-def]
+    """||F - R||^2, ||F - D||^2, and a number that is positive where a stationary D is known to be the closest."""
+    f, r, d = f.reshape(-1), r.reshape(-1), d.reshape(-1)
+    quarter, half, zero, one = det.dtype.type(0.25), det.dtype.type(0.5), det.dtype.type(0), det.dtype.type(1)
+    for k in range(LANES):
+        length, from_r, from_d, trace = zero, zero, zero, zero
+        for row in range(0, 9 * LANES, LANES):
+            x, y, z = f[row + k], r[row + k], d[row + k]
+            length += x * x
+            from_r += (x - y) * (x - y)
+            from_d += (x - z) * (x - z)
+            trace += y * z
+        a, b, c, o, e, p = d[A + k], d[B + k], d[C + k], d[D + k], d[E + k], d[F + k]
+        g, h, i = d[G + k], d[H + k], d[J + k]
+        second = r[A + k] * (e * i - p * h) + r[B + k] * (p * g - o * i) + r[C + k] * (o * h - e * g)
+        second += r[D + k] * (c * h - b * i) + r[E + k] * (a * i - c * g) + r[F + k] * (b * g - a * h)
+        second += r[G + k] * (b * p - c * e) + r[H + k] * (c * o - a * p) + r[J + k] * (a * e - b * o)
+        third = max(one - np.sqrt(from_r), det[k] / (half * length))  # sigma_3 is no less
+        far[k], near[k] = from_r, from_d
+        alone = max(one - det[k], quarter * third * third - from_d)
+        global_minimum[k] = min(alone, min(trace, second))
+
+
 @njit(cache=True)
-def project(f, r, d, det):  # type: ignore[no-untyped-def]
-    """Closest rotations r and closest matrices d of unit determinant of the gradients f, all (9, LANES); and det f."""
+def project(f, r, d, det, far, near):  # type: ignore[no-untyped-def]
+    """Closest rotations r and closest matrices d of unit determinant of the gradients f, all (9, LANES).
+
+    Also, each (LANES,), the determinants of f and its squared distances from r and d.
+    """
     single = int(f.itemsize == 4)
     polar_tolerance, volume_tolerance = (
         det.dtype.type(POLAR_TOLERANCE[single]),
         det.dtype.type(VOLUME_TOLERANCE[single]),
     )
-    flat, near = det.dtype.type(FLAT), det.dtype.type(NEAR)
-    step, last, far = np.empty_like(det), np.empty_like(det), np.empty_like(det)
+    flat = det.dtype.type(FLAT)
+    step, last, known = np.empty_like(det), np.empty_like(det), np.empty_like(det)
     _determinants(f, det)
-    _copy(f, r)
+    _unit_scale(f, det, r, d)
     for k in range(LANES):
         if not det[k] > flat:
             _set_identity(r, k)
+            _set_identity(d, k)
     for _ in range(9):
         _newton(r, step)
         if _all_below(step, polar_tolerance):
             break
-    _squared_distance(f, r, far)
-    _copy(r, d)
-    goal = np.empty_like(f)
-    _copy(f, goal)
-    for k in range(LANES):
-        if not (det[k] > flat and step[k] < polar_tolerance and far[k] <= near):
-            far[k] = np.inf
-            _set_identity(goal, k)
-            _set_identity(d, k)
     for _ in range(20):
-        _linearise(d, goal, last)
+        _linearise(d, f, last)
         if _all_below(last, volume_tolerance):
             break
+    _judge(f, r, d, det, far, near, known)
     for k in range(LANES):
-        if not (far[k] <= near and last[k] < volume_tolerance):
+        if not (det[k] > flat and step[k] < polar_tolerance and last[k] < volume_tolerance and known[k] > 0):
             _project_by_svd(f[:, k], r[:, k], d[:, k])
+            far[k], near[k] = 0, 0
+            for j in range(9):
+                far[k] += (f[j, k] - r[j, k]) ** 2
+                near[k] += (f[j, k] - d[j, k]) ** 2
 
 
 @njit(cache=True)
@@ -452,9 +473,7 @@ def _chunk(x, tets, inverse, weights, count, begin, end, touched, descent, sums)
     for tile in range(begin, end):
         _load(x, tets[tile], d)
         _multiply(d, inverse[tile], f)
-        project(f, r, d, det)
-        _squared_distance(f, r, strain)
-        _squared_distance(f, d, volume)
+        project(f, r, d, det, strain, volume)
         for k in range(min(LANES, count - tile * LANES)):
             total_strain += weights[tile, 0, k] * strain[k]  # eq. (11), first term
             total_volume += weights[tile, 1, k] * volume[k]  # eqs (11), (12): distance form of the volume term

@@ -46,9 +46,10 @@ def project(f):
     """The kernel over batches of LANES matrices; determinants (t,), rotations and unit determinants (t, 3, 3)."""
     lanes = local_step.LANES
     padded = np.concatenate([f, np.broadcast_to(np.eye(3), (-len(f) % lanes, 3, 3))]).reshape(-1, lanes, 9)
-    r, d, det = np.empty((len(padded), 9, lanes)), np.empty((len(padded), 9, lanes)), np.empty((len(padded), lanes))
+    r, d = np.empty((2, len(padded), 9, lanes))
+    det, far, near = np.empty((3, len(padded), lanes))
     for i, tile in enumerate(padded):
-        local_step.project(np.ascontiguousarray(tile.T), r[i], d[i], det[i])
+        local_step.project(np.ascontiguousarray(tile.T), r[i], d[i], det[i], far[i], near[i])
     r, d = (np.swapaxes(m, 1, 2).reshape(-1, 3, 3)[: len(f)] for m in (r, d))
     return det.ravel()[: len(f)], r, d
 
