@@ -33,7 +33,7 @@ def main(arguments: list[str] | None = None) -> int:
         template = load_template(faces, regions, options.size, options.cache)
     except InvalidInput as error:
         console.print(f"[red]{type(error).__name__}[/red]: ", end="")
-        console.print(str(error), markup=False, highlight=False)
+        console.print(str(error), markup=False, highlight=False, soft_wrap=True)
         return 1
     console.print(str(path), markup=False, highlight=False, soft_wrap=True)
     console.print(

@@ -99,5 +99,6 @@ def _closest_on_triangle(points: FloatArray, corners: FloatArray) -> FloatArray:
         squared = np.einsum("ij,ij->i", gap, gap)
         found = np.where((squared < best)[:, None], edge, found)
         best = np.minimum(best, squared)
-    result: FloatArray = np.where((inside >= 0).all(axis=1)[:, None], inside, found)
+    within = np.all(inside >= 0, axis=1, keepdims=True)
+    result: FloatArray = np.where(within, inside, found)
     return result

@@ -45,8 +45,7 @@ def load_template(faces: IntArray, regions: Regions, size: str = "coarse", cache
     """
     check_size(size)
     name = file_name(faces)
-    with resources.as_file(resources.files(__package__) / SHIPPED / name) as shipped:
-        stored = _read(shipped) or _read(_folder(cache) / name)
+    stored = shipped(name) or read_stored(_folder(cache) / name)
     if stored is None:
         raise InvalidInput(
             f"template: none is known for this topology of {len(faces)} triangles. Build it once (about two minutes): "
@@ -74,7 +73,7 @@ def store_template(
     depths = landmark_depths(load_depths(), regions) if depths is None else depths
     depths = depths_with_room(skin, faces, regions, depths)
     path, content = _folder(cache) / file_name(faces), content_digest(skin, faces, regions, depths)
-    known = _read(path)
+    known = read_stored(path)
     if known is not None and known.content == content:
         progress("found in the cache")
         return path
@@ -113,7 +112,13 @@ def write_stored(path: Path, stored: Stored) -> None:
     write_whole(path, lambda temporary: np.savez_compressed(temporary, **arrays))  # type: ignore[arg-type]
 
 
-def _read(path: Path) -> Stored | None:
+def shipped(name: str) -> Stored | None:
+    """What the package holds under a file name, or None."""
+    with resources.as_file(resources.files(__package__) / SHIPPED / name) as path:
+        return read_stored(path)
+
+
+def read_stored(path: Path) -> Stored | None:
     """What is stored, or None where nothing whole is."""
     try:
         with np.load(path, allow_pickle=False) as stored:
