@@ -68,7 +68,8 @@ def trace(
         at = sorted(stops) or [0]
         gap, start = max(((b - a - 1) % len(points) + 1, a) for a, b in zip(at, [*at[1:], at[0]], strict=True))
         number = (start + gap // 2) % len(points)
-        stops[number] = int(tree.query(features[number])[1])
+        near = tree.query(features[number], k=len(stops) + 1)[1]
+        stops[number] = int(np.setdiff1d(near, list(stops.values()), assume_unique=True)[0])
     loop = _through(name, features, stops, vertices, normals, faces)
     if len(through) < 4:  # again, through the middles between those stops, so that the mesh decides and not the picks
         places = np.flatnonzero(np.isin(loop, list(stops.values())))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tarfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from retarget.anatomy.separate import separate
 from retarget.anatomy.skin import isolate_skin
 from retarget.anatomy.transfer import transfer_regions
 from retarget.check import InvalidInput
-from retarget.geometry.edge_loops import is_edge_cycle
+from retarget.geometry.edge_loops import is_edge_cycle, parts
 from retarget.geometry.triangles import areas
 from retarget.io.landmarks import read_landmarks
 from retarget.io.mesh import read_mesh
@@ -50,6 +50,7 @@ def case() -> Case:
     base, targets = load_head()
     regions = load_regions()
     person = IdentitySampler(base, targets, regions)(1)
+    regions = replace(regions, loops={**regions.loops, "neck": regions.loops["neck"][::-1]})  # against the triangles
     fine = subdivide(base.faces, len(base.vertices))
     rng = np.random.default_rng(0)
     order = rng.permutation(fine.operator.shape[0])
@@ -123,6 +124,15 @@ def test_sets_keep_their_relations(case: Case) -> None:
     for side in ("left", "right"):
         for half in ("upper", "lower"):
             assert np.isin(v[f"lid_margin_{half}_{side}"], case.found.loops[f"lid_margin_{side}"]).all()
+
+
+def test_lips_and_eyes_end_at_their_loops(case: Case) -> None:
+    inner = {name: loop for name, loop in case.found.loops.items() if name != "neck"}
+    outside = parts(case.faces, len(case.vertices), inner)[
+        frozenset({"lip_contour", "eye_socket_left", "eye_socket_right"})
+    ]
+    for name in ("lips", "eyes", "interior"):
+        assert len(np.intersect1d(case.found.vertices[name], outside)) == 0, name
 
 
 def test_points_follow_the_skin(case: Case) -> None:
@@ -200,6 +210,8 @@ def test_separate_opens_lips_that_were_pressed_together(case: Case) -> None:
     check_closed("head", *cap("head", apart, base.faces))
     moved = np.linalg.norm(apart - pressed, axis=1)
     assert moved.max() < 8.0
+    corners = [regions.landmarks[f"cheilion_{side}"] for side in ("left", "right")]
+    assert moved[corners].max() < 0.3 * moved.max()
     assert moved[regions.vertices["eyes"]].max() == 0
     assert moved[regions.vertices["cranium"]].max() == 0
     upper, lower = (regions.landmarks[f"stomion_{side}"] for side in ("upper", "lower"))

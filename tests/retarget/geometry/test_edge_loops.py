@@ -50,7 +50,7 @@ def test_a_loop_along_a_row_is_that_row_though_the_curve_wavers(picked: dict[int
     row = vertices[11 * 36 : 12 * 36]
     angle = 2 * np.pi * np.arange(12) / 12
     curve = 50 * np.column_stack([np.sin(angle), 0 * angle, np.cos(angle)])
-    curve[:, 1] = row[0, 1] + 0.8 * np.cos(3 * angle)  # rows are 5.2 mm apart
+    curve[:, 1] = row[0, 1] + 3.0 * np.cos(3 * angle)  # rows are 5.2 mm apart
     loop = trace("row", (curve, curve / 50), picked, vertices, vertex_normals(vertices, faces), faces)
     assert is_edge_cycle(loop, faces, len(vertices))
     assert set(loop.tolist()) == set(range(11 * 36, 12 * 36))
@@ -66,6 +66,16 @@ def test_a_loop_goes_through_what_was_picked() -> None:
     loop = trace("row", (curve, curve / 50), {3: picked}, vertices, vertex_normals(vertices, faces), faces)
     assert picked in loop
     assert is_edge_cycle(loop, faces, len(vertices))
+
+
+def test_a_loop_about_a_slit_does_not_meet_itself() -> None:
+    vertices, faces = globe()
+    angle = 2 * np.pi * np.arange(16) / 16
+    longitude, height = 1.0 * np.cos(angle), 0.2 * np.sin(angle)  # 100 mm wide and 0.4 mm high
+    curve = np.column_stack([50 * np.sin(longitude), height, 50 * np.cos(longitude)])
+    loop = trace("slit", (curve, curve / 50), {}, vertices, vertex_normals(vertices, faces), faces)
+    assert is_edge_cycle(loop, faces, len(vertices))
+    assert np.abs(vertices[loop, 1]).max() < 8.0
 
 
 def test_a_curve_away_from_the_mesh_is_refused() -> None:
