@@ -17,24 +17,22 @@ def cap(name: str, vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, I
     Raises InvalidInput for an edge of three triangles, or for loops that touch.
     """
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    keys, uses = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
+    low, high = np.sort(edges, axis=1).T
+    keys, uses = np.unique(low * len(vertices) + high, return_counts=True)
     if uses.max() > 2:
-        a, b = keys[np.argmax(uses)]
+        a, b = divmod(int(keys[np.argmax(uses)]), len(vertices))
         raise InvalidInput(
             f"{name}: expected at most two triangles at an edge, got {uses.max()} at vertices {a} and {b}; "
             "remove what does not belong to the skin."
         )
-    directed = {(int(a), int(b)) for a, b in edges}
-    if len(directed) < len(edges):
+    forth, back = edges @ [len(vertices), 1], edges @ [1, len(vertices)]
+    if len(np.unique(forth)) < len(forth):
         raise InvalidInput(f"{name}: expected triangles of one orientation, got neighbours that disagree; orient them.")
     following: dict[int, int] = {}
-    for a, b in sorted(directed):
-        if (b, a) not in directed:
-            if b in following:
-                raise InvalidInput(
-                    f"{name}: expected separate boundary loops, got two that meet at vertex {b}; close one."
-                )
-            following[b] = a
+    for a, b in edges[~np.isin(forth, back)][np.argsort(forth[~np.isin(forth, back)])].tolist():
+        if b in following:
+            raise InvalidInput(f"{name}: expected separate boundary loops, got two that meet at vertex {b}; close one.")
+        following[b] = a
     while following:
         first, second = next(iter(following.items()))
         loop = [first]

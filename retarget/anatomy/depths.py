@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from retarget.anatomy.distance import closest
+from retarget.anatomy.distance import distance_to
 from retarget.check import InvalidInput
 from retarget.geometry.graph import components, vertex_adjacency
 from retarget.types import FloatArray, IntArray, Regions
@@ -77,18 +77,23 @@ def landmark_depths(depths: Mapping[str, float], regions: Regions) -> dict[str, 
 
 
 def depths_with_room(
-    vertices: FloatArray, faces: IntArray, regions: Regions, depths: Mapping[str, float]
+    vertices: FloatArray, faces: IntArray, regions: Regions, depths: Mapping[str, float], behind: float = 0.0
 ) -> dict[str, float]:
-    """The depths in mm of those landmarks whose bone lies before the mouth cavity of the skin (n, 3) mm, (f, 3).
+    """The depths in mm of those landmarks whose bone lies before mouth and eye sockets of the skin (n, 3) mm, (f, 3).
 
-    Where the cavity is nearer to a landmark than the bone, as behind the lips, the true bone (teeth and alveoli) lies
-    inside the cavity of the mesh, so it is no part of this head and the landmark carries no depth.
+    Where a cavity is nearer to a landmark than the bone and `behind` mm more, as behind the lips, the true bone (teeth
+    and alveoli) lies inside the cavity of the mesh, so it is no part of this head and the landmark carries no depth.
     """
-    interior = np.zeros(len(vertices), dtype=bool)
-    interior[regions.vertices["interior"]] = True
     marks = vertices[[regions.landmarks[name] for name in depths]]
-    room = np.linalg.norm(marks - closest((vertices, faces[interior[faces].all(axis=1)]), marks), axis=1)
-    return {name: depth for (name, depth), r in zip(depths.items(), room, strict=True) if r >= depth}
+    room = distance_to((vertices, cavity_faces(faces, regions, len(vertices))), marks)
+    return {name: depth for (name, depth), r in zip(depths.items(), room, strict=True) if r >= depth + behind}
+
+
+def cavity_faces(faces: IntArray, regions: Regions, vertex_count: int) -> IntArray:
+    """(g, 3) the triangles inside mouth and eye sockets."""
+    interior = np.zeros(vertex_count, dtype=bool)
+    interior[regions.vertices["interior"]] = True
+    return faces[interior[faces].all(axis=1)]
 
 
 def depth_basis(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> FloatArray:
@@ -105,7 +110,7 @@ def depth_basis(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> F
                 f"skin: expected a landmark with a depth on each piece, got a piece of {len(part)} vertices without "
                 f"one (vertex {part[0]}); remove what is not skin."
             )
-    stiffness, mass = _cotangent(vertices, faces)
+    stiffness, mass = surface_energies(vertices, faces)
     energy = sp.csr_array(stiffness + STIFFNESS_LENGTH**2 * (stiffness @ sp.diags_array(1 / mass) @ stiffness))
     free = np.setdiff1d(np.arange(len(vertices)), landmarks)
     rows = energy[free]
@@ -116,7 +121,7 @@ def depth_basis(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> F
     return basis
 
 
-def _cotangent(vertices: FloatArray, faces: IntArray) -> tuple[sp.csr_array, FloatArray]:
+def surface_energies(vertices: FloatArray, faces: IntArray) -> tuple[sp.csr_array, FloatArray]:
     """Stiffness (n, n) with weights (cot a + cot b) / 2, negative cotangents left out so that maxima stay at
     landmarks, and the lumped areas (n,) in mm^2."""
     n = len(vertices)

@@ -16,6 +16,12 @@ def closest(surface: Surface, points: FloatArray) -> FloatArray:
     return np.asarray(found, dtype=np.float64).reshape(points.shape)
 
 
+def distance_to(surface: Surface, points: FloatArray) -> FloatArray:
+    """(m,) mm from points (m, 3) to the triangles of a surface."""
+    result: FloatArray = np.linalg.norm(points - closest(surface, points), axis=1)
+    return result
+
+
 def signed_distance(surface: Surface, points: FloatArray) -> FloatArray:
     """(m,) mm from points (m, 3) to a closed surface that faces outward, positive inside.
 

@@ -18,7 +18,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from retarget.anatomy.depths import LARGEST, depth_basis, depths_with_room
-from retarget.anatomy.distance import closest, signed_distance
+from retarget.anatomy.distance import distance_to, signed_distance
 from retarget.check import InvalidInput
 from retarget.geometry.graph import components, vertex_adjacency
 from retarget.types import FloatArray, IntArray, Regions
@@ -166,12 +166,6 @@ def bridge_skin(vertices: FloatArray, faces: IntArray, regions: Regions) -> Floa
     bridged = vertices.copy()
     bridged[free] = splu(sp.csc_matrix(rows[:, free])).solve(-(rows[:, fixed] @ vertices[fixed]))
     return bridged
-
-
-def distance_to(surface: tuple[FloatArray, IntArray], points: FloatArray) -> FloatArray:
-    """(m,) mm from points (m, 3) to the triangles of a surface."""
-    result: FloatArray = np.linalg.norm(points - closest(surface, points), axis=1)
-    return result
 
 
 def _sample(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, sp.csr_array]:

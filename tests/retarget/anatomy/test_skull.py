@@ -10,8 +10,8 @@ import trimesh
 
 from retarget.anatomy.closed import cap, check_closed, self_intersections
 from retarget.anatomy.depths import depths_with_room, landmark_depths, load_depths
-from retarget.anatomy.distance import signed_distance
-from retarget.anatomy.skull import Skull, bridge_skin, build_skull, distance_to
+from retarget.anatomy.distance import distance_to, signed_distance
+from retarget.anatomy.skull import Skull, bridge_skin, build_skull
 from retarget.check import InvalidInput
 from retarget.types import FloatArray, IntArray
 from synth_data.makehuman.regions import load_regions

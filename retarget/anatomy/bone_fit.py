@@ -1,0 +1,126 @@
+"""The skull of a character: the template's, warped with the skin and then moved smoothly until its depths are right."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.distance import cdist
+
+from retarget.anatomy.closed import cap
+from retarget.anatomy.depths import LARGEST, cavity_faces
+from retarget.anatomy.distance import Surface, closest, distance_to, signed_distance
+from retarget.anatomy.skull import bridge_skin
+from retarget.anatomy.warp import farthest_points
+from retarget.types import FloatArray, IntArray, Regions
+
+CLEARANCE = 1.0  # mm of tissue that the skull keeps under all skin, less only where the template has less
+TOLERANCE = 0.4  # mm that the depth at a landmark may be off without being corrected; the rule is 1 mm
+SMOOTH = 24.0  # mm within which a correction of the skull fades
+_MARGIN = 0.2  # mm beyond the clearance that a shallow vertex is sent
+_OVERSHOOT = 4.0  # mm that the aim at a landmark may be off the wanted depth
+_ROUNDS = 15
+_CAVITY_WALL = 10.0  # mm about mouth and eye sockets in which bone does not follow the depth field
+_SAMPLES, _CENTRES = 800, 400
+_RIDGE = 0.01  # of the bumps' height, so that centres that contradict each other compromise
+
+
+@dataclass(frozen=True)
+class PlacedSkull:
+    """Skull vertices under a skin, and what is left to be desired."""
+
+    vertices: FloatArray  # (k, 3) mm
+    errors: Mapping[str, float]  # mm by landmark, found less wanted
+    clearance: float  # mm from the skin to the nearest skull vertex, negative outside
+
+
+@dataclass(frozen=True)
+class Skin:
+    """A skin as the skull sees it."""
+
+    surface: Surface  # closed at the neck
+    bridged: Surface  # without ears, lips, nose tip and openings
+    regions: Regions
+
+    @staticmethod
+    def of(vertices: FloatArray, faces: IntArray, regions: Regions) -> Skin:
+        """From an open skin (n, 3) mm, (f, 3)."""
+        surface = cap("skin", vertices, faces)
+        return Skin(surface, (bridge_skin(*surface, regions), surface[1]), regions)
+
+    def inward(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(p,) mm under the skin, negative outside, and the directions (p, 3) in which that grows."""
+        depth = signed_distance(self.surface, points)
+        direction = (points - closest(self.surface, points)) * np.where(depth < 0, -1.0, 1.0)[:, None]
+        return depth, _unit(direction)
+
+
+def place_skull(skull: Surface, skin: Skin, start: FloatArray, new: Skin, depths: Mapping[str, float]) -> PlacedSkull:
+    """Move the skull vertices `start` (k, 3) mm, faces as in `skull`, under the skin `new`.
+
+    Its depths under the bridged skin become those of the template's `skull` under its `skin`; the distances from the
+    landmarks become `depths` in mm; it keeps a clearance under all skin. The corrections are smooth in space. A skull
+    that is right already is returned unchanged.
+    """
+    rest, faces = skull
+    names = list(depths)
+    marks = new.surface[0][[new.regions.landmarks[name] for name in names]]
+    wanted = np.array([depths[name] for name in names])
+    own, _ = skin.inward(rest)
+    clearance = np.minimum(CLEARANCE, 0.8 * own)
+    x = start + _depth_step(rest, start, own, skin, new)
+    radius = wanted.copy()
+    for round_ in range(_ROUNDS + 1):
+        errors = distance_to((x, faces), marks) - wanted
+        depth, inward = new.inward(x)
+        off, shallow = np.abs(errors) > TOLERANCE, depth < clearance
+        if round_ == _ROUNDS or not (off.any() or shallow.any()):
+            break
+        radius[off] = np.clip(radius - errors, wanted - _OVERSHOOT, wanted + _OVERSHOOT)[off]
+        step, held = np.zeros_like(x), shallow.copy()
+        step[shallow] = ((clearance + _MARGIN - depth)[:, None] * inward)[shallow]
+        for mark, reach, wrong in zip(marks, radius, off, strict=True):
+            distance = np.linalg.norm(mark - x, axis=1)
+            moved = distance <= max(reach, distance.min())
+            held |= moved
+            if wrong:
+                step[moved] += (1 - reach / distance[moved])[:, None] * (mark - x[moved])
+        x = x + _bumps(x[held], step[held], x)
+    return PlacedSkull(x, dict(zip(names, errors.tolist(), strict=True)), float(depth.min()))
+
+
+def _depth_step(rest: FloatArray, start: FloatArray, own: FloatArray, skin: Skin, new: Skin) -> FloatArray:
+    """(k, 3) mm: a smooth step of the warped skull towards the template's depths under the bridged skin."""
+    deep = np.linalg.norm(rest - closest(skin.bridged, rest), axis=1)
+    cavities = cavity_faces(skin.surface[1], skin.regions, len(skin.surface[0]))
+    off_cavities = distance_to((skin.surface[0], cavities), rest) > _CAVITY_WALL
+    outer = np.flatnonzero((deep < LARGEST) & (np.abs(own - deep) < 1.0) & off_cavities)
+    outer = outer[farthest_points(rest[outer], _SAMPLES)]
+    foot = start[outer] - closest(new.bridged, start[outer])
+    wanted = (deep[outer] - np.linalg.norm(foot, axis=1))[:, None] * _unit(foot)
+    kernel = _kernel(start, start[outer])
+    step: FloatArray = kernel @ wanted / (kernel.sum(axis=1, keepdims=True) + 0.1)
+    return step
+
+
+def _bumps(centres: FloatArray, steps: FloatArray, points: FloatArray) -> FloatArray:
+    """(p, 3) mm: a sum of bumps in space that moves centres (c, 3) mm by about `steps`, and far points not at all.
+
+    In space and not along the surface, so that both sides of a thin bone move together.
+    """
+    chosen = farthest_points(centres, _CENTRES)
+    weights = np.linalg.solve(_kernel(centres[chosen], centres[chosen]) + _RIDGE * np.eye(len(chosen)), steps[chosen])
+    moved: FloatArray = _kernel(points, centres[chosen]) @ weights
+    return moved
+
+
+def _kernel(points: FloatArray, centres: FloatArray) -> FloatArray:
+    """(p, c): Wendland's C2 function of the distance, zero beyond `SMOOTH`."""
+    r = np.minimum(cdist(points, centres) / SMOOTH, 1.0)
+    return (1 - r) ** 4 * (4 * r + 1)
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    unit: FloatArray = vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
+    return unit

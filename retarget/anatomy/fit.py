@@ -1,0 +1,152 @@
+"""Fit of the head template to a character: fitHead of section 3.3.2, eq. (7)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from retarget.anatomy.bone_fit import CLEARANCE, PlacedSkull, Skin, place_skull
+from retarget.anatomy.depths import depths_with_room
+from retarget.anatomy.head import Head, HeadTemplate
+from retarget.anatomy.untangle import Repair, untangle
+from retarget.anatomy.warp import farthest_points, warp
+from retarget.check import InvalidInput, check_triangle_areas, check_vertices
+from retarget.geometry.cholesky import CholeskyFactor
+from retarget.geometry.procrustes import rigid_align
+from retarget.simulation.tetrahedra import MM3_PER_CM3, RestShape, hat_gradients, rest_shape
+from retarget.types import FloatArray
+
+LEAST_BONE = 3.0  # mm that the skull is thick where it keeps to a landmark's depth
+DEPTH_RULE = 1.0  # mm that the depth at a landmark may be off
+LARGEST_SCALE = 1.6  # of a character against the template, either way; more means another unit
+LARGEST_TURN = 45.0  # degrees between character and template; more means other axes
+LARGEST_DIFFERENCE = 0.12  # rms after rigid alignment and scale over the template's size; more means another order
+BONE_FIRMNESS = 3.0  # of a skull vertex in the repair, where a skin vertex has 1
+SKIN_CENTRES, SKULL_CENTRES = 1000, 500
+SKIN_WEIGHT = 30.0  # mm; a skin vertex' distance against the gradients of the correction
+
+
+@dataclass(frozen=True)
+class FitReport:
+    """How a fit went."""
+
+    repair: Repair
+    skull: PlacedSkull
+
+
+def fit_head(template: HeadTemplate, neutral: FloatArray) -> Head:
+    """The template fitted to a neutral skin (n, 3) mm in its topology and axes.
+
+    The skin is the neutral to the bit: skin = P vertices + residual. The skull lies under all of it, within 1 mm of the
+    depths at the landmarks that have room before the mouth (`depths_with_room`). Raises InvalidInput, with the reason,
+    for a neutral that no head can be made of: wrong count, NaN, degenerate triangles, another unit, axes or vertex
+    order, depths that cannot be met, or tets that stay inverted.
+    """
+    return fit_with_report(template, neutral)[0]
+
+
+def fit_with_report(template: HeadTemplate, neutral: FloatArray) -> tuple[Head, FitReport]:
+    """`fit_head`, and what it had to repair."""
+    skin = _checked(template, neutral)
+    x, skull = _warped(template, skin)
+    rest = rest_shape(template.vertices, template.tets)
+    rotation, _ = rigid_align(template.skin, skin)
+    goal = skin - (template.skin - template.embedding @ template.vertices) @ rotation.T
+    x = _pulled(template, rest, x, goal)
+    repair = _repaired(template, rest, x, goal)
+    x = repair.vertices
+    try:
+        rest_shape(x, template.tets)
+    except InvalidInput as error:
+        raise InvalidInput(
+            f"neutral: expected a face that the template's tets can follow, got one where {repair.after} of "
+            f"{len(template.tets)} tets stay inverted or flat after repair; the surface is folded there. ({error})"
+        ) from error
+    condyles = np.array([template.regions.points[f"condyle_{side}"](skin) for side in ("left", "right")])
+    return Head(template, skin, x, condyles, skull.errors), FitReport(repair, skull)
+
+
+def _checked(template: HeadTemplate, neutral: FloatArray) -> FloatArray:
+    """The neutral as float64; raises InvalidInput where it cannot be a face of this template."""
+    skin = check_vertices("neutral", neutral)
+    if len(skin) != len(template.skin):
+        raise InvalidInput(
+            f"neutral: expected the {len(template.skin)} vertices of the template's skin, got {len(skin)}; "
+            "load the template of this topology and resolution, or bring the character into it."
+        )
+    size, rest_size = (float(np.linalg.norm(np.ptp(v, axis=0))) for v in (skin, template.skin))
+    if not rest_size / LARGEST_SCALE < size < rest_size * LARGEST_SCALE:
+        raise InvalidInput(
+            f"neutral: expected a head of about {rest_size:.0f} mm from corner to corner, got {size:.3g} mm; "
+            "vertices are in mm."
+        )
+    check_triangle_areas("neutral", skin, template.faces)
+    rotation, translation = rigid_align(skin, template.skin)
+    turn = np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
+    aligned = (skin @ rotation.T + translation - template.skin.mean(axis=0)) * (rest_size / size)
+    difference = float(np.sqrt(((aligned + template.skin.mean(axis=0) - template.skin) ** 2).sum(axis=1).mean()))
+    if difference > LARGEST_DIFFERENCE * rest_size:
+        raise InvalidInput(
+            f"neutral: expected a face in the template's vertex order, got one {difference:.0f} mm (rms) away from it "
+            "after alignment; the vertices are in another order, or mirrored."
+        )
+    if turn > LARGEST_TURN:
+        raise InvalidInput(
+            f"neutral: expected a head with +y up and +z out of the face, got one turned by {turn:.0f} degrees against "
+            "the template; rotate it."
+        )
+    return skin
+
+
+def _warped(template: HeadTemplate, skin: FloatArray) -> tuple[FloatArray, PlacedSkull]:
+    """Tet vertices (m, 3) mm warped with skin and skull, the skull in its place."""
+    bone, faces = template.skull, template.skull_faces
+    on_skin = farthest_points(template.skin, SKIN_CENTRES)
+    sources, targets = template.skin[on_skin], skin[on_skin]
+    start = warp(sources, targets)(template.vertices[bone])
+    old, new = (Skin.of(v, template.faces, template.regions) for v in (template.skin, skin))
+    carried = depths_with_room(*new.surface, template.regions, template.depths, behind=CLEARANCE)
+    skull = place_skull((template.vertices[bone], np.searchsorted(bone, faces)), old, start, new, carried)
+    off = {name: error for name, error in skull.errors.items() if not abs(error) <= DEPTH_RULE}
+    if off:
+        name = max(off, key=lambda n: abs(off[n]))
+        raise InvalidInput(
+            f"neutral: expected a skull within {DEPTH_RULE:g} mm of the soft-tissue depths, got {len(off)} landmarks "
+            f"beyond, the worst {name} by {off[name]:+.1f} mm; is the landmark where its name says on this face?"
+        )
+    if skull.clearance <= 0:
+        raise InvalidInput(
+            f"neutral: expected room for the skull under the skin, got skull vertices up to {-skull.clearance:.1f} mm "
+            "outside; the skin is folded, or too thin for the depths."
+        )
+    on_skull = farthest_points(template.vertices[bone], SKULL_CENTRES)
+    x = warp(np.vstack([sources, template.vertices[bone[on_skull]]]), np.vstack([targets, skull.vertices[on_skull]]))(
+        template.vertices
+    )
+    x[bone] = skull.vertices
+    return x, skull
+
+
+def _repaired(template: HeadTemplate, rest: RestShape, x: FloatArray, goal: FloatArray) -> Repair:
+    """x (m, 3) mm without inverted tets, P x near the goal (n, 3) mm and the skull nearly where it was."""
+    bone = template.skull
+    firm = np.full(len(bone), BONE_FIRMNESS)
+    at_bone = sp.csr_array((firm, (np.arange(len(bone)), bone)), shape=(len(bone), len(x)))
+    anchors = sp.csr_array(sp.vstack([template.embedding, at_bone]))
+    return untangle(rest, x, anchors, np.vstack([goal, BONE_FIRMNESS * x[bone]]))
+
+
+def _pulled(template: HeadTemplate, rest: RestShape, x: FloatArray, goal: FloatArray) -> FloatArray:
+    """x (m, 3) mm plus the correction with the smallest gradients that takes P x to the goal (n, 3) mm, skull fixed."""
+    hats = hat_gradients(rest)
+    blocks = (rest.volumes * MM3_PER_CM3)[:, None, None] * (hats @ np.swapaxes(hats, 1, 2))
+    rows, columns = (np.broadcast_to(i, blocks.shape).ravel() for i in (rest.tets[:, :, None], rest.tets[:, None]))
+    gradients = sp.csr_array((blocks.ravel(), (rows, columns)), shape=(len(x), len(x)))
+    p = template.embedding
+    free = np.setdiff1d(np.arange(len(x)), template.skull)
+    system = sp.csr_array(gradients + SKIN_WEIGHT * (p.T @ p))[free][:, free]
+    moved = x.copy()
+    moved[free] += CholeskyFactor(system, "skin correction").solve((SKIN_WEIGHT * (p.T @ (goal - p @ x)))[free])
+    return moved
