@@ -8,12 +8,15 @@ import numpy as np
 import scipy.sparse as sp
 from numba import njit
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from retarget.check import InvalidInput
+from retarget.geometry.graph import vertex_adjacency
 from retarget.types import FloatArray, IntArray, Regions
 
 TRIGGER = 0.05  # mm: shallower contacts are left alone, and those that are deeper in the neutral are no contacts
+REACH = 10.0  # mm: how far the inner sides of the lips count as lips
 SLICES, PATCH = 10, 16
 
 
@@ -105,37 +108,57 @@ def _position(values: IntArray, among: IntArray) -> tuple[NDArray[np.bool_], Int
 class Lips:
     """The two lips of a skin, and where they have passed each other.
 
-    A point of the lower lip is inside of the upper one if the first triangle of the upper lip straight below it faces
-    down; the other way round for points of the upper lip. # differs from the paper: it looks at points of the lower
-    lip alone, which leaves points of the upper lip inside where the lower lip is meshed more coarsely.
-    Vertices that both lips hold are the corners of the mouth and no candidates, nor are points inside at rest.
+    A lip is its set in `regions` and what lies behind it outside of `head`, the visible skin, up to REACH. A point of
+    the lower lip is inside of the upper one if the first triangle of the upper lip straight below it faces down; the
+    other way round for points of the upper lip. # differs from the paper: it looks at points of the lower lip alone,
+    which leaves points of the upper lip inside where the lower lip is meshed more coarsely.
+    Candidates are the points of the sets, but for the corners of the mouth, which both hold, and for what is inside at
+    rest.
     """
 
     def __init__(self, rest: FloatArray, faces: IntArray, regions: Regions) -> None:
         """rest: neutral skin (n, 3) mm. Raises InvalidInput if `upper_lip` or `lower_lip` is missing."""
-        parts = [np.asarray(regions.vertices.get(name, ()), dtype=np.int64) for name in ("upper_lip", "lower_lip")]
-        for name, part in zip(("upper_lip", "lower_lip"), parts, strict=True):
+        sets = [np.asarray(regions.vertices.get(name, ()), dtype=np.int64) for name in ("upper_lip", "lower_lip")]
+        for name, part in zip(("upper_lip", "lower_lip"), sets, strict=True):
             if not len(part):
                 raise InvalidInput(
                     f"regions: expected vertices[{name!r}] for lip collisions, got none; add it to the topology's "
                     "regions, or switch collisions off."
                 )
-        upper, lower = parts
-        corners = np.intersect1d(upper, lower)
+        upper, lower = _with_inner_sides(rest, faces, sets[0], sets[1], regions.vertices.get("head"))
+        corners = np.intersect1d(sets[0], sets[1])
         self.vertices: IntArray = np.union1d(upper, lower)
         self.patches = _patches(rest, upper, lower)  # of neighbours that tend to meet together
-        self._upper_faces = np.ascontiguousarray(faces[np.isin(faces, upper).all(axis=1)])
-        self._lower_faces = np.ascontiguousarray(faces[np.isin(faces, lower).all(axis=1)])
-        self._upper, self._lower = np.setdiff1d(upper, corners), np.setdiff1d(lower, corners)
+        self.upper_faces = np.ascontiguousarray(faces[np.isin(faces, upper).all(axis=1)])  # (u, 3)
+        self.lower_faces = np.ascontiguousarray(faces[np.isin(faces, lower).all(axis=1)])  # (l, 3)
+        self._upper, self._lower = (np.setdiff1d(part, corners) for part in sets)
         inside = self.contacts(rest).points
         self._upper, self._lower = np.setdiff1d(self._upper, inside), np.setdiff1d(self._lower, inside)
 
     def contacts(self, skin: FloatArray, trigger: float = TRIGGER) -> Contacts:
         """All points of skin (n, 3) mm that are deeper than `trigger` mm in the other lip."""
         x = np.ascontiguousarray(skin, dtype=np.float64)
-        below = _passed(x, self._lower, self._upper_faces, 1.0, trigger)
-        above = _passed(x, self._upper, self._lower_faces, -1.0, trigger)
+        below = _passed(x, self._lower, self.upper_faces, 1.0, trigger)
+        above = _passed(x, self._upper, self.lower_faces, -1.0, trigger)
         return Contacts(*(np.concatenate(pair) for pair in zip(below, above, strict=True)))
+
+
+def _with_inner_sides(
+    rest: FloatArray, faces: IntArray, upper: IntArray, lower: IntArray, visible: IntArray | None
+) -> tuple[IntArray, IntArray]:
+    """Both lips with the hidden vertices that clearly lie behind them: along the surface at most REACH away, and twice
+    as near as the other lip, which leaves out the corners."""
+    hidden = np.ones(len(rest), dtype=bool)
+    hidden[np.arange(len(rest)) if visible is None else visible] = False
+    edges = vertex_adjacency(faces, len(rest)).tocoo()
+    inner = hidden[edges.row] | hidden[edges.col]
+    start, end = edges.row[inner], edges.col[inner]
+    graph = sp.csr_array((np.linalg.norm(rest[start] - rest[end], axis=1), (start, end)), shape=edges.shape)
+    to_upper, to_lower = (dijkstra(graph, indices=lip, min_only=True, limit=REACH) for lip in (upper, lower))
+    return (
+        np.union1d(upper, np.flatnonzero(hidden & (to_upper < 0.5 * to_lower))),
+        np.union1d(lower, np.flatnonzero(hidden & (to_lower < 0.5 * to_upper))),
+    )
 
 
 def _patches(rest: FloatArray, upper: IntArray, lower: IntArray) -> list[IntArray]:

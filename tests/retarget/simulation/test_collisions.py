@@ -82,11 +82,13 @@ def depth(head, skin):
 
     Independent of the resolver, which measures straight up and down. Points nearest to a rim are beyond the lip.
     """
-    regions, faces = head.template.regions, head.template.faces
-    deepest = 0.0
-    for mine, other in (("upper_lip", "lower_lip"), ("lower_lip", "upper_lip")):
+    regions = head.template.regions
+    lips, deepest = Lips(head.skin, head.template.faces, regions), 0.0
+    for mine, other, surface in (
+        ("upper_lip", "lower_lip", lips.lower_faces),
+        ("lower_lip", "upper_lip", lips.upper_faces),
+    ):
         points = np.setdiff1d(regions.vertices[mine], regions.vertices[other])
-        surface = faces[np.isin(faces, regions.vertices[other]).all(axis=1)]
         mesh = pv.PolyData.from_regular_faces(skin, surface)
         triangle, nearest = mesh.find_closest_cell(skin[points], return_closest_point=True)
         a, b, c = (skin[surface[triangle, i]] for i in range(3))

@@ -1,0 +1,110 @@
+"""The forward simulation on MakeHuman's head."""
+
+import numpy as np
+import pytest
+
+from retarget.anatomy.head import Head
+from retarget.anatomy.store import load_template
+from retarget.simulation.bones import carry_bones, fit_bones, pivot, rotation_angle
+from retarget.simulation.characteristics import FacialCharacteristics
+from retarget.simulation.forward import ForwardSettings, ForwardSimulation
+from retarget.simulation.projective_dynamics import ProjectiveDynamics, SolverSettings, tissue_weights
+from retarget.simulation.state import Bones, RigidMotion
+from retarget.simulation.tetrahedra import deformation_gradients
+from retarget.types import Pair, Status
+from synth_data.makehuman.regions import load_regions
+from synth_data.makehuman.targets import load_head
+from tests.retarget.simulation.test_bones import turn
+from tests.retarget.simulation.test_collisions import depth
+
+UNITS = {
+    "smile": {"mouthSmileLeft": 1, "mouthSmileRight": 1},
+    "press": {"mouthPressLeft": 1, "mouthPressRight": 1},
+    "shrug": {"mouthShrugLower": 1},
+    "funnel": {"mouthFunnel": 1},
+    "bite": {"jawOpen": -0.2},
+    "drop": {"jawOpen": 1},
+    "blink": {"eyeBlinkLeft": 0.68, "eyeBlinkRight": 0.68},
+}
+CROSSED = {"smile", "press", "shrug", "funnel", "bite"}
+
+
+@pytest.fixture(scope="module")
+def faces_and_units():
+    return load_head()
+
+
+@pytest.fixture(scope="module")
+def head(faces_and_units):
+    regions = load_regions()
+    template = load_template(faces_and_units[0].faces, regions, "coarse")
+    condyles = np.stack([regions.points[f"condyle_{side}"](template.skin) for side in ("left", "right")])
+    return Head(template, template.skin, template.vertices, condyles, {})
+
+
+@pytest.fixture(scope="module")
+def forward(head):
+    return ForwardSimulation(head)
+
+
+@pytest.fixture(scope="module")
+def formed(head, forward, faces_and_units):
+    """Expression, bones, tet vertices and gradients by name, from a short inverse simulation."""
+    settings = SolverSettings(max_iterations=8, repair_inverted_start=True)
+    weights, template = tissue_weights(forward.shape, head.template.muscle), head.template
+    solver = ProjectiveDynamics(forward.shape, weights, template.fixed, template.embedding, 100.0, settings)
+
+    def form(name):
+        skin = head.skin + sum(w * faces_and_units[1][f"units/{unit}"] for unit, w in UNITS[name].items())
+        bones = fit_bones(head, skin)
+        start = head.vertices.copy()
+        for part, motion in ((template.cranium, bones.cranium), (template.jaw, bones.jaw)):
+            start[part] = motion(start[part])
+        vertices = solver.solve(skin - head.residual, start[template.fixed]).vertices
+        return skin, bones, vertices, deformation_gradients(forward.shape, vertices)
+
+    return {name: form(name) for name in UNITS}
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_expressions_come_back_and_lips_are_apart(head, forward, formed, name):
+    skin, bones, vertices, gradients = formed[name]
+    plain = ForwardSimulation(head, ForwardSettings(collisions=False))(gradients, bones)
+    np.testing.assert_allclose(plain.vertices, vertices, atol=1e-8)
+    pair = Pair(head.template.faces, head.skin, head.skin, head.template.regions)
+    state = forward(gradients, bones, characteristics=FacialCharacteristics(pair)(skin))
+    assert state.info.status is Status.CONVERGED
+    assert (np.diff(state.info.energy) <= 1e-9 * state.info.energy[0]).all()
+    assert (state.lips.before > 0.3) == (name in CROSSED)
+    assert (depth(head, plain.skin) > 0.3) == (name in CROSSED)
+    assert depth(head, state.skin) < 0.1
+    visible = head.template.regions.vertices["head"]
+    error = np.linalg.norm(state.skin - skin, axis=1)[visible]
+    assert error.mean() < 0.1
+
+
+def test_the_neutral_of_another_head(head, forward):
+    """adt(S, S, T) = T to less than 0.001 mm."""
+    shape = np.array([1.06, 0.94, 1.02])
+    pair = Pair(head.template.faces, shape * head.skin, head.skin, head.template.regions)
+    identity = np.broadcast_to(np.eye(3), (len(head.template.tets), 3, 3))
+    still = RigidMotion(np.eye(3), np.zeros(3), pivot(head))
+    characteristics = FacialCharacteristics(pair)(pair.source_neutral)
+    state = forward(identity, Bones(still, still), 1.02, characteristics)
+    assert np.abs(state.skin - head.skin).max() < 1e-3
+    assert state.lips.contacts == 0
+
+
+def test_an_open_jaw_takes_the_chin_along(head, forward):
+    bones = carry_bones(head, Bones(*(RigidMotion(turn("x", d), np.zeros(3), pivot(head)) for d in (0.0, 15.0))))
+    identity = np.broadcast_to(np.eye(3), (len(head.template.tets), 3, 3))
+    state = forward(identity, bones)
+    found = fit_bones(head, state.skin)
+    assert rotation_angle(found.cranium.rotation) < 0.5
+    assert 8 < rotation_angle(found.jaw.rotation) < 16
+    regions = head.template.regions
+    gap = [
+        s[regions.landmarks["stomion_upper"], 1] - s[regions.landmarks["stomion_lower"], 1]
+        for s in (head.skin, state.skin)
+    ]
+    assert gap[1] > gap[0] + 8
