@@ -71,7 +71,7 @@ def deformation_gradients(shape: RestShape, vertices: FloatArray) -> FloatArray:
 @njit(cache=True, parallel=True)
 def _gradients(x, tets, inverse, gradients):  # type: ignore[no-untyped-def]
     for t in prange(len(tets)):
-        v0, v1, v2, v3 = tets[t]
+        v0, v1, v2, v3 = tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3]
         for j in range(3):
             a, b, c = x[v1, j] - x[v0, j], x[v2, j] - x[v0, j], x[v3, j] - x[v0, j]
             for k in range(3):
