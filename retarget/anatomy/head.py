@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -37,7 +38,7 @@ class HeadTemplate:
         """Sorted vertices of the skull, the free ones included."""
         return np.unique(self.skull_faces)
 
-    @property
+    @cached_property
     def fixed(self) -> IntArray:
         """Sorted vertices that move with a bone."""
         return np.union1d(self.cranium, self.jaw)

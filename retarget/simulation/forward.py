@@ -114,6 +114,10 @@ class ForwardSimulation:
         unused = [np.setdiff1d(self._terms.place[patch], self._terms.used) for patch in patches]
         return [self._terms.used, *(patch for patch in unused if len(patch))]
 
+    def prepare_lips(self) -> None:
+        """Condense to all points of the lips now, not to each patch when it first meets: for even times per frame."""
+        self._system.require(np.arange(len(self._terms.skin)))
+
     def with_handles(self, handles: Handles) -> ForwardSimulation:
         """The same simulation with these handles in place of any others. Nothing is factorised again.
 

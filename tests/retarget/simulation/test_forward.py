@@ -316,6 +316,20 @@ def test_bad_input_is_refused(head, forward):
         ForwardSimulation(replace(head, template=nothing), CALM)
 
 
+def test_what_overflows_fails_without_nan(head, forward):
+    state = forward(np.full((len(head.template.tets), 3, 3), 1e200), still(head))
+    assert state.info.status is Status.FAILED
+    np.testing.assert_array_equal(state.skin, head.skin)
+    np.testing.assert_array_equal(state.gradients, np.broadcast_to(np.eye(3), state.gradients.shape))
+
+
+def test_lips_can_be_prepared(head):
+    forward = ForwardSimulation(head)
+    assert not forward._system.known.all()
+    forward.prepare_lips()
+    assert forward._system.known.all()
+
+
 def test_too_few_iterations_are_reported(head):
     vertices, bones = moved(head)
     forward = ForwardSimulation(head, replace(CALM, area_iterations=2))
