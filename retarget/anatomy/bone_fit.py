@@ -16,7 +16,8 @@ from retarget.anatomy.warp import farthest_points
 from retarget.types import FloatArray, IntArray, Regions
 
 CLEARANCE = 1.0  # mm of tissue that the skull keeps under all skin, less only where the template has less
-TOLERANCE = 0.4  # mm that the depth at a landmark may be off without being corrected; the rule is 1 mm
+TOLERANCE = 0.5  # mm that the depth at a landmark may be off without being corrected; the rule is 1 mm
+LARGEST_TOLERANCE = 0.8  # mm, where the template itself is off by as much
 SMOOTH = 24.0  # mm within which a correction of the skull fades
 _MARGIN = 0.2  # mm beyond the clearance that a shallow vertex is sent
 _OVERSHOOT = 4.0  # mm that the aim at a landmark may be off the wanted depth
@@ -27,10 +28,9 @@ _RIDGE = 0.01  # of the bumps' height, so that centres that contradict each othe
 
 
 @dataclass(frozen=True)
-class PlacedSkull:
-    """Skull vertices under a skin, and what is left to be desired."""
+class SkullFit:
+    """How a skull lies under a skin."""
 
-    vertices: FloatArray  # (k, 3) mm
     errors: Mapping[str, float]  # mm by landmark, found less wanted
     clearance: float  # mm from the skin to the nearest skull vertex, negative outside
 
@@ -49,14 +49,16 @@ class Skin:
         surface = cap("skin", vertices, faces)
         return Skin(surface, (bridge_skin(*surface, regions), surface[1]), regions)
 
-    def inward(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(p,) mm under the skin, negative outside, and the directions (p, 3) in which that grows."""
-        depth = signed_distance(self.surface, points)
-        direction = (points - closest(self.surface, points)) * np.where(depth < 0, -1.0, 1.0)[:, None]
-        return depth, _unit(direction)
+    def depth(self, points: FloatArray) -> FloatArray:
+        """(p,) mm under the skin, negative outside."""
+        return signed_distance(self.surface, points)
+
+    def inward(self, points: FloatArray, depth: FloatArray) -> FloatArray:
+        """(p, 3) the directions in which the `depth` of points (p, 3) mm grows."""
+        return _unit((points - closest(self.surface, points)) * np.where(depth < 0, -1.0, 1.0)[:, None])
 
 
-def place_skull(skull: Surface, skin: Skin, start: FloatArray, new: Skin, depths: Mapping[str, float]) -> PlacedSkull:
+def place_skull(skull: Surface, skin: Skin, start: FloatArray, new: Skin, depths: Mapping[str, float]) -> FloatArray:
     """Move the skull vertices `start` (k, 3) mm, faces as in `skull`, under the skin `new`.
 
     Its depths under the bridged skin become those of the template's `skull` under its `skin`; the distances from the
@@ -64,30 +66,41 @@ def place_skull(skull: Surface, skin: Skin, start: FloatArray, new: Skin, depths
     that is right already is returned unchanged.
     """
     rest, faces = skull
-    names = list(depths)
-    marks = new.surface[0][[new.regions.landmarks[name] for name in names]]
-    wanted = np.array([depths[name] for name in names])
-    own, _ = skin.inward(rest)
+    at = [new.regions.landmarks[name] for name in depths]
+    marks, wanted = new.surface[0][at], np.array(list(depths.values()))
+    own = skin.depth(rest)
     clearance = np.minimum(CLEARANCE, 0.8 * own)
+    tolerance = np.clip(np.abs(distance_to(skull, skin.surface[0][at]) - wanted) + 0.01, TOLERANCE, LARGEST_TOLERANCE)
     x = start + _depth_step(rest, start, own, skin, new)
-    radius = wanted.copy()
-    for round_ in range(_ROUNDS + 1):
+    radius, depth = wanted.copy(), np.zeros(len(x))
+    for _ in range(_ROUNDS):
+        near = depth < CLEARANCE  # a bound: the others cannot have come so near by their moves
+        depth[near] = new.depth(x[near])
         errors = distance_to((x, faces), marks) - wanted
-        depth, inward = new.inward(x)
-        off, shallow = np.abs(errors) > TOLERANCE, depth < clearance
-        if round_ == _ROUNDS or not (off.any() or shallow.any()):
+        off, shallow = np.abs(errors) > tolerance, depth < clearance
+        if not (off.any() or shallow.any()):
             break
         radius[off] = np.clip(radius - errors, wanted - _OVERSHOOT, wanted + _OVERSHOOT)[off]
         step, held = np.zeros_like(x), shallow.copy()
-        step[shallow] = ((clearance + _MARGIN - depth)[:, None] * inward)[shallow]
+        inward = new.inward(x[shallow], depth[shallow])
+        step[shallow] = (clearance + _MARGIN - depth)[shallow, None] * inward
         for mark, reach, wrong in zip(marks, radius, off, strict=True):
             distance = np.linalg.norm(mark - x, axis=1)
             moved = distance <= max(reach, distance.min())
             held |= moved
             if wrong:
                 step[moved] += (1 - reach / distance[moved])[:, None] * (mark - x[moved])
-        x = x + _bumps(x[held], step[held], x)
-    return PlacedSkull(x, dict(zip(names, errors.tolist(), strict=True)), float(depth.min()))
+        moves = _bumps(x[held], step[held], x)
+        x, depth = x + moves, depth - np.linalg.norm(moves, axis=1)
+    return x
+
+
+def measure_skull(surface: Surface, skin: Skin, depths: Mapping[str, float]) -> SkullFit:
+    """How a skull lies under a skin, against the `depths` in mm by landmark."""
+    marks = skin.surface[0][[skin.regions.landmarks[name] for name in depths]]
+    errors = distance_to(surface, marks) - np.array(list(depths.values()))
+    clearance = float(signed_distance(skin.surface, surface[0]).min())
+    return SkullFit(dict(zip(depths, errors.tolist(), strict=True)), clearance)
 
 
 def _depth_step(rest: FloatArray, start: FloatArray, own: FloatArray, skin: Skin, new: Skin) -> FloatArray:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from threadpoolctl import threadpool_limits
 
-from retarget.anatomy.bone_fit import CLEARANCE, PlacedSkull, Skin, place_skull
+from retarget.anatomy.bone_fit import CLEARANCE, Skin, SkullFit, measure_skull, place_skull
 from retarget.anatomy.depths import depths_with_room
 from retarget.anatomy.head import Head, HeadTemplate
 from retarget.anatomy.untangle import Repair, untangle
@@ -18,7 +20,6 @@ from retarget.geometry.procrustes import rigid_align
 from retarget.simulation.tetrahedra import MM3_PER_CM3, RestShape, hat_gradients, rest_shape
 from retarget.types import FloatArray
 
-LEAST_BONE = 3.0  # mm that the skull is thick where it keeps to a landmark's depth
 DEPTH_RULE = 1.0  # mm that the depth at a landmark may be off
 LARGEST_SCALE = 1.6  # of a character against the template, either way; more means another unit
 LARGEST_TURN = 45.0  # degrees between character and template; more means other axes
@@ -33,7 +34,7 @@ class FitReport:
     """How a fit went."""
 
     repair: Repair
-    skull: PlacedSkull
+    skull: SkullFit
 
 
 def fit_head(template: HeadTemplate, neutral: FloatArray) -> Head:
@@ -50,22 +51,23 @@ def fit_head(template: HeadTemplate, neutral: FloatArray) -> Head:
 def fit_with_report(template: HeadTemplate, neutral: FloatArray) -> tuple[Head, FitReport]:
     """`fit_head`, and what it had to repair."""
     skin = _checked(template, neutral)
-    x, skull = _warped(template, skin)
+    with threadpool_limits(limits=1):  # the same bits on any machine; its vectors are too short for threads anyway
+        return _fitted(template, skin)
+
+
+def _fitted(template: HeadTemplate, skin: FloatArray) -> tuple[Head, FitReport]:
+    new = Skin.of(skin, template.faces, template.regions)
+    depths = depths_with_room(*new.surface, template.regions, template.depths, behind=CLEARANCE)
+    x = _warped(template, skin, new, depths)
     rest = rest_shape(template.vertices, template.tets)
     rotation, _ = rigid_align(template.skin, skin)
     goal = skin - (template.skin - template.embedding @ template.vertices) @ rotation.T
-    x = _pulled(template, rest, x, goal)
-    repair = _repaired(template, rest, x, goal)
-    x = repair.vertices
-    try:
-        rest_shape(x, template.tets)
-    except InvalidInput as error:
-        raise InvalidInput(
-            f"neutral: expected a face that the template's tets can follow, got one where {repair.after} of "
-            f"{len(template.tets)} tets stay inverted or flat after repair; the surface is folded there. ({error})"
-        ) from error
+    repair = _repaired(template, rest, _pulled(template, rest, x, goal), goal)
+    bone = template.skull
+    skull = measure_skull((repair.vertices[bone], np.searchsorted(bone, template.skull_faces)), new, depths)
+    _check_fit(template, repair, skull)
     condyles = np.array([template.regions.points[f"condyle_{side}"](skin) for side in ("left", "right")])
-    return Head(template, skin, x, condyles, skull.errors), FitReport(repair, skull)
+    return Head(template, skin, repair.vertices, condyles, skull.errors), FitReport(repair, skull)
 
 
 def _checked(template: HeadTemplate, neutral: FloatArray) -> FloatArray:
@@ -100,15 +102,15 @@ def _checked(template: HeadTemplate, neutral: FloatArray) -> FloatArray:
     return skin
 
 
-def _warped(template: HeadTemplate, skin: FloatArray) -> tuple[FloatArray, PlacedSkull]:
-    """Tet vertices (m, 3) mm warped with skin and skull, the skull in its place."""
-    bone, faces = template.skull, template.skull_faces
-    on_skin = farthest_points(template.skin, SKIN_CENTRES)
-    sources, targets = template.skin[on_skin], skin[on_skin]
-    start = warp(sources, targets)(template.vertices[bone])
-    old, new = (Skin.of(v, template.faces, template.regions) for v in (template.skin, skin))
-    carried = depths_with_room(*new.surface, template.regions, template.depths, behind=CLEARANCE)
-    skull = place_skull((template.vertices[bone], np.searchsorted(bone, faces)), old, start, new, carried)
+def _check_fit(template: HeadTemplate, repair: Repair, skull: SkullFit) -> None:
+    """Raises InvalidInput, with the reason, unless tets and skull are as they must be."""
+    try:
+        rest_shape(repair.vertices, template.tets)
+    except InvalidInput as error:
+        raise InvalidInput(
+            f"neutral: expected a face that the template's tets can follow, got one where {repair.after} of "
+            f"{len(template.tets)} tets stay inverted or flat after repair; the surface is folded there. ({error})"
+        ) from error
     off = {name: error for name, error in skull.errors.items() if not abs(error) <= DEPTH_RULE}
     if off:
         name = max(off, key=lambda n: abs(off[n]))
@@ -121,12 +123,20 @@ def _warped(template: HeadTemplate, skin: FloatArray) -> tuple[FloatArray, Place
             f"neutral: expected room for the skull under the skin, got skull vertices up to {-skull.clearance:.1f} mm "
             "outside; the skin is folded, or too thin for the depths."
         )
-    on_skull = farthest_points(template.vertices[bone], SKULL_CENTRES)
-    x = warp(np.vstack([sources, template.vertices[bone[on_skull]]]), np.vstack([targets, skull.vertices[on_skull]]))(
-        template.vertices
-    )
-    x[bone] = skull.vertices
-    return x, skull
+
+
+def _warped(template: HeadTemplate, skin: FloatArray, new: Skin, depths: Mapping[str, float]) -> FloatArray:
+    """Tet vertices (m, 3) mm warped with skin and skull, the skull in its place."""
+    bone = template.skull
+    at_rest = template.vertices[bone]
+    on_skin, on_bone = farthest_points(template.skin, SKIN_CENTRES), farthest_points(at_rest, SKULL_CENTRES)
+    sources, targets = template.skin[on_skin], skin[on_skin]
+    old = Skin.of(template.skin, template.faces, template.regions)
+    skull = at_rest, np.searchsorted(bone, template.skull_faces)
+    placed = place_skull(skull, old, warp(sources, targets)(at_rest), new, depths)
+    x = warp(np.vstack([sources, at_rest[on_bone]]), np.vstack([targets, placed[on_bone]]))(template.vertices)
+    x[bone] = placed
+    return x
 
 
 def _repaired(template: HeadTemplate, rest: RestShape, x: FloatArray, goal: FloatArray) -> Repair:

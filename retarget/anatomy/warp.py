@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from scipy.interpolate import RBFInterpolator
 
 from retarget.check import InvalidInput, check_vertices
@@ -14,15 +15,27 @@ def farthest_points(points: FloatArray, count: int, first: int = 0) -> IntArray:
 
     Stops early where only copies of points already taken are left.
     """
-    taken = [first]
-    distance = np.sum((points - points[first]) ** 2, axis=1)
-    while len(taken) < count:
-        following = int(np.argmax(distance))
-        if distance[following] <= 0:
+    taken = _farthest(np.ascontiguousarray(points), min(count, len(points)), first)
+    return taken[taken >= 0]
+
+
+@njit(cache=True)
+def _farthest(points: FloatArray, count: int, first: int) -> IntArray:
+    taken = np.full(count, -1, dtype=np.int64)
+    nearest = np.full(len(points), np.inf)
+    following = first
+    for k in range(count):
+        taken[k] = following
+        x, y, z = points[following]
+        farthest = 0.0
+        for i in range(len(points)):
+            distance = (points[i, 0] - x) ** 2 + (points[i, 1] - y) ** 2 + (points[i, 2] - z) ** 2
+            nearest[i] = min(nearest[i], distance)
+            if nearest[i] > farthest:
+                farthest, following = nearest[i], i
+        if farthest == 0.0:
             break
-        taken.append(following)
-        np.minimum(distance, np.sum((points - points[following]) ** 2, axis=1), out=distance)
-    return np.array(taken, dtype=np.int64)
+    return taken
 
 
 def warp(sources: FloatArray, targets: FloatArray, smoothing: float = 0.0) -> RBFInterpolator:
