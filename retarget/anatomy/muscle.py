@@ -6,7 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from retarget.anatomy.boundary import boundary_faces
 from retarget.anatomy.distance import distance_to
+from retarget.anatomy.tissue import Tissue
 from retarget.geometry.graph import components, vertex_adjacency
 from retarget.types import FloatArray, IntArray, Regions
 
@@ -16,19 +18,17 @@ SOFT = ("ears", "eyes", "lips")  # no muscle under these
 NOSE_TIP = 0.8  # of the distance from the nose's tip to the end of its bones: no muscle nearer to the tip
 
 
-def muscle_tets(
-    skin: FloatArray, faces: IntArray, regions: Regions, vertices: FloatArray, tets: IntArray, skull: IntArray
-) -> NDArray[np.bool_]:
+def muscle_tets(skin: FloatArray, faces: IntArray, regions: Regions, tissue: Tissue) -> NDArray[np.bool_]:
     """(t,) whether a tet is muscle: its centroid lies deeper than `SHARE` of the way from the outer skin inward.
 
-    Inward of it lie the skull, triangles (g, 3) of the tet vertices, and the mouth. Muscle lies under the region
-    ``face`` alone, not over the vault, and not in ears, lids, lips and nose tip or about the orbits.
+    Inward of it lie the skull and the mouth. Muscle lies under the region ``face`` alone, not over the vault, not in
+    ears, lids, lips and nose tip or about the orbits, and nowhere at the surface, which is soft tissue.
     """
-    centroids = vertices[tets].mean(axis=1)
+    centroids = tissue.vertices[tissue.tets].mean(axis=1)
     mouth = np.zeros(len(skin), dtype=bool)
     mouth[_mouth_cavity(faces, regions, len(skin))] = True
     to_skin = distance_to((skin, faces[~mouth[faces].any(axis=1)]), centroids)
-    to_inner = distance_to((vertices, skull), centroids)
+    to_inner = distance_to((tissue.vertices, tissue.skull_faces), centroids)
     if mouth.any():
         to_inner = np.minimum(to_inner, distance_to((skin, faces[mouth[faces].all(axis=1)]), centroids))
     covered = np.zeros(len(skin), dtype=bool)
@@ -40,6 +40,8 @@ def muscle_tets(
     _, nearest = cKDTree(skin[~mouth]).query(centroids)
     deep = (to_skin > SHARE * (to_skin + to_inner)) & (to_skin < DEEPEST)
     muscle: NDArray[np.bool_] = covered[~mouth][nearest] & deep
+    triangles, owner = boundary_faces(tissue.tets)
+    muscle[owner[~np.isin(triangles, tissue.skull_faces).all(axis=1)]] = False
     return muscle
 
 

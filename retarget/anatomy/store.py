@@ -9,16 +9,26 @@ from __future__ import annotations
 import hashlib
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import platformdirs
+from numpy.typing import NDArray
 
 from retarget.anatomy.depths import depths_with_room, landmark_depths, load_depths
 from retarget.anatomy.head import HeadTemplate
-from retarget.anatomy.template import Progress, assemble, build_tissue, check_regions, check_size
+from retarget.anatomy.muscle import muscle_tets
+from retarget.anatomy.template import (
+    REFINEMENTS,
+    Progress,
+    assemble,
+    build_tissue,
+    check_regions,
+    check_size,
+    resize,
+)
 from retarget.anatomy.tissue import Tissue
 from retarget.check import InvalidInput, check_faces, check_vertices
 from retarget.io.files import write_whole
@@ -33,7 +43,8 @@ class Stored:
     """All of a template that takes long."""
 
     skin: FloatArray  # (n, 3) mm
-    tissue: Tissue
+    tissue: Tissue  # coarse
+    muscle: Mapping[str, NDArray[np.bool_]]  # by size, (t,) of its tets
     depths: Mapping[str, float]  # mm by landmark
     content: str  # digest of surface, faces, regions, depths and FORMAT
 
@@ -51,7 +62,8 @@ def load_template(faces: IntArray, regions: Regions, size: str = "coarse", cache
             f"template: none is known for this topology of {len(faces)} triangles. Build it once (about two minutes): "
             "python -m retarget.anatomy build MESH REGIONS"
         )
-    return assemble(stored.skin, faces, regions, stored.depths, stored.tissue, size)
+    tissue = resize(stored.tissue, size)
+    return assemble(stored.skin, faces, regions, stored.depths, tissue, stored.muscle[size])
 
 
 def store_template(
@@ -72,14 +84,26 @@ def store_template(
     check_regions(regions)
     depths = landmark_depths(load_depths(), regions) if depths is None else depths
     depths = depths_with_room(skin, faces, regions, depths)
-    path, content = _folder(cache) / file_name(faces), content_digest(skin, faces, regions, depths)
+    path = _folder(cache) / file_name(faces)
     known = read_stored(path)
-    if known is not None and known.content == content:
-        progress("found in the cache")
-        return path
-    tissue = build_tissue(skin, faces, regions, depths, progress)
-    write_stored(path, Stored(skin, tissue, depths, content))
+    if known is None or known.content != content_digest(skin, faces, regions, depths):
+        write_stored(path, build_stored(skin, faces, regions, depths, progress))
     return path
+
+
+def build_stored(
+    skin: FloatArray, faces: IntArray, regions: Regions, depths: Mapping[str, float], progress: Progress
+) -> Stored:
+    """What takes long, for a skin (n, 3) mm in single precision and `depths` with room; see `build_template`."""
+    tissue = rounded(build_tissue(skin, faces, regions, depths, progress))
+    progress("labelling muscle")
+    muscle = {size: muscle_tets(skin, faces, regions, resize(tissue, size)) for size in REFINEMENTS}
+    return Stored(skin, tissue, muscle, depths, content_digest(skin, faces, regions, depths))
+
+
+def rounded(tissue: Tissue) -> Tissue:
+    """With vertices in single precision, as they are stored."""
+    return replace(tissue, vertices=tissue.vertices.astype(np.float32).astype(np.float64))
 
 
 def content_digest(skin: FloatArray, faces: IntArray, regions: Regions, depths: Mapping[str, float]) -> str:
@@ -103,12 +127,11 @@ def write_stored(path: Path, stored: Stored) -> None:
         "skin": stored.skin.astype(np.float32),
         "vertices": tissue.vertices.astype(np.float32),
         "tets": tissue.tets.astype(np.int32),
-        "muscle": np.packbits(tissue.muscle),
         "skull_faces": tissue.skull_faces.astype(np.int32),
         "landmarks": np.array(list(stored.depths)),
         "depths": np.array(list(stored.depths.values())),
         "content": np.array(stored.content),
-    }
+    } | {f"muscle_{size}": np.packbits(muscle) for size, muscle in stored.muscle.items()}
     write_whole(path, lambda temporary: np.savez_compressed(temporary, **arrays))  # type: ignore[arg-type]
 
 
@@ -126,11 +149,14 @@ def read_stored(path: Path) -> Stored | None:
             tissue = Tissue(
                 vertices=stored["vertices"].astype(np.float64),
                 tets=tets,
-                muscle=np.unpackbits(stored["muscle"], count=len(tets)).astype(bool),
                 skull_faces=stored["skull_faces"].astype(np.int64),
             )
             depths = dict(zip(stored["landmarks"].tolist(), stored["depths"].tolist(), strict=True))
-            return Stored(stored["skin"].astype(np.float64), tissue, depths, str(stored["content"]))
+            muscle = {
+                size: np.unpackbits(stored[f"muscle_{size}"], count=len(tets) * 8**steps).astype(bool)
+                for size, steps in REFINEMENTS.items()
+            }
+            return Stored(stored["skin"].astype(np.float64), tissue, muscle, depths, str(stored["content"]))
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
 

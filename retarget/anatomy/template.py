@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 import pyvista as pv
+from numpy.typing import NDArray
 
 from retarget.anatomy.bones import label_bones
 from retarget.anatomy.boundary import boundary_faces, enclosed_volume, signed_volumes
@@ -61,7 +62,9 @@ def build_template(
     check_regions(regions)
     depths = landmark_depths(load_depths(), regions) if depths is None else depths
     depths = depths_with_room(skin, faces, regions, depths)
-    return assemble(skin, faces, regions, depths, build_tissue(skin, faces, regions, depths, progress), size)
+    tissue = resize(build_tissue(skin, faces, regions, depths, progress), size)
+    progress("labelling muscle")
+    return assemble(skin, faces, regions, depths, tissue, muscle_tets(skin, faces, regions, tissue))
 
 
 def build_tissue(
@@ -79,7 +82,6 @@ def build_tissue(
     sizing = sizing_field(capped, skull, regions)
     both = np.vstack([capped[0], skull[0]]), np.vstack([capped[1], skull[1][:, ::-1] + len(capped[0])])
     vertices, tets = tetrahedralise(*both, sizing, ENVELOPE, QUALITY, progress)
-    progress("labelling tissue")
     rest_shape(vertices, tets)  # refuses flat tets
     wanted, found = enclosed_volume(*capped) - enclosed_volume(*skull), signed_volumes(vertices, tets).sum()
     if abs(found - wanted) > _LOST * wanted:
@@ -88,17 +90,26 @@ def build_tissue(
             "cross or lie too close."
         )
     skull_faces = _skull_side(vertices, tets, capped, skull)
-    return Tissue(vertices, tets, muscle_tets(skin, faces, regions, vertices, tets, skull_faces), skull_faces)
+    return Tissue(vertices, tets, skull_faces)
+
+
+def resize(tissue: Tissue, size: str) -> Tissue:
+    """The coarse tissue in a size of `REFINEMENTS`."""
+    for _ in range(REFINEMENTS[size]):
+        tissue = refine(tissue)
+    return tissue
 
 
 def assemble(
-    skin: FloatArray, faces: IntArray, regions: Regions, depths: Mapping[str, float], tissue: Tissue, size: str
+    skin: FloatArray,
+    faces: IntArray,
+    regions: Regions,
+    depths: Mapping[str, float],
+    tissue: Tissue,
+    muscle: NDArray[np.bool_],
 ) -> HeadTemplate:
-    """The template of a size from the coarse tissue: refined, embedded, bones labelled."""
-    check_size(size)
+    """The template of tissue of which `muscle` (t,) says what is muscle: bones labelled, skin embedded."""
     check_regions(regions)
-    for _ in range(REFINEMENTS[size]):
-        tissue = refine(tissue)
     cranium, jaw = label_bones(skin, regions, tissue.vertices, np.unique(tissue.skull_faces))
     return HeadTemplate(
         skin=skin,
@@ -106,7 +117,7 @@ def assemble(
         regions=regions,
         vertices=tissue.vertices,
         tets=tissue.tets,
-        muscle=tissue.muscle,
+        muscle=muscle,
         embedding=embed(skin, faces, tissue.vertices, tissue.tets),
         skull_faces=tissue.skull_faces,
         cranium=cranium,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from retarget.types import FloatArray, IntArray
 
@@ -15,11 +14,10 @@ _DIAGONALS = ((0, 5), (1, 4), (2, 3))  # opposite edges: the octahedron inside a
 
 @dataclass(frozen=True)
 class Tissue:
-    """Soft and muscle tissue of one head."""
+    """All tissue of one head, soft and muscle."""
 
     vertices: FloatArray  # (m, 3) mm
     tets: IntArray  # (t, 4), positively oriented
-    muscle: NDArray[np.bool_]  # (t,)
     skull_faces: IntArray  # (g, 3) into vertices, facing out of the bone
 
 
@@ -56,4 +54,4 @@ def refine(tissue: Tissue) -> Tissue:
     p, q, r = tissue.skull_faces.T
     pq, qr, rp = midpoint(p, q), midpoint(q, r), midpoint(r, p)
     skull = np.stack([p, pq, rp, pq, q, qr, rp, qr, r, pq, qr, rp], axis=1).reshape(-1, 3)
-    return Tissue(fine, children, np.repeat(tissue.muscle, 8), skull)
+    return Tissue(fine, children, skull)

@@ -10,6 +10,7 @@ makes another template of the same kind; what ships is the one that all results 
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +18,8 @@ from rich.console import Console
 
 import retarget.anatomy
 from retarget.anatomy.depths import depths_with_room, landmark_depths, load_depths
-from retarget.anatomy.store import SHIPPED, Stored, content_digest, file_name, write_stored
-from retarget.anatomy.template import Progress, build_tissue
+from retarget.anatomy.store import SHIPPED, Stored, build_stored, content_digest, file_name, write_stored
+from retarget.anatomy.template import Progress
 from retarget.types import FloatArray, IntArray, Regions
 from synth_data.makehuman.regions import load_regions
 from synth_data.makehuman.subdivide import subdivide
@@ -41,8 +42,8 @@ def author_template(heads: list[Level], progress: Progress = lambda line: None) 
     """What is stored for each of `levels`, by file name."""
     skin, faces, regions = heads[0]
     depths = depths_with_room(skin, faces, regions, landmark_depths(load_depths(), regions))
-    tissue = build_tissue(skin, faces, regions, depths, progress)
-    return {file_name(f): Stored(v, tissue, depths, content_digest(v, f, r, depths)) for v, f, r in heads}
+    made = build_stored(skin, faces, regions, depths, progress)
+    return {file_name(f): replace(made, skin=v, content=content_digest(v, f, r, depths)) for v, f, r in heads}
 
 
 def main() -> None:

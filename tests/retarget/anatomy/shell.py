@@ -23,7 +23,7 @@ def sphere(radius: float, subdivisions: int = 3) -> tuple[FloatArray, IntArray]:
 
 @cache
 def shell() -> Tissue:
-    """Tets between the spheres, made by the mesher; muscle is what lies nearer to the inner one."""
+    """Tets between the spheres, made by the mesher."""
     (skin, faces), (bone, inner) = sphere(OUTER), sphere(INNER)
     box = 100.0 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     cells = np.array([[0, 1, 2, 4], [1, 2, 3, 7], [1, 4, 5, 7], [2, 4, 6, 7], [1, 2, 4, 7]])
@@ -37,5 +37,4 @@ def shell() -> Tissue:
     radius = np.linalg.norm(vertices, axis=1)
     triangles, _ = boundary_faces(tets)
     inner_side = triangles[radius[triangles].mean(axis=1) < 0.5 * (OUTER + INNER)][:, ::-1]
-    deep = radius[tets].mean(axis=1) < 0.5 * (OUTER + INNER)
-    return Tissue(vertices, tets, deep, inner_side)
+    return Tissue(vertices, tets, inner_side)

@@ -42,9 +42,11 @@ def builds(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
     def build(skin: FloatArray, faces: IntArray, regions: Regions, depths: object, progress: object) -> Tissue:
         calls.append("built")
-        return Tissue(shipped.vertices, shipped.tets, shipped.muscle, shipped.skull_faces)
+        return Tissue(shipped.vertices, shipped.tets, shipped.skull_faces)
 
     monkeypatch.setattr(store, "build_tissue", build)
+    muscle = {len(tets.muscle): tets.muscle for tets in (shipped, load_template(faces, regions, "paper"))}
+    monkeypatch.setattr(store, "muscle_tets", lambda skin, faces, regions, tissue: muscle[len(tissue.tets)])
     return calls
 
 
@@ -90,16 +92,18 @@ def test_what_is_written_is_read(tmp_path: Path, unknown: Head) -> None:
     tissue = Tissue(
         np.arange(15.0).reshape(5, 3),
         np.array([[0, 1, 2, 3], [1, 2, 3, 4]]),
-        np.array([True, False]),
         np.array([[0, 1, 2]]),
     )
+    muscle = {"coarse": np.array([True, False]), "paper": np.arange(16) > 11}
     digest = content_digest(skin, faces, regions, {"menton": 8.0})
-    write_stored(tmp_path / "a.npz", Stored(skin, tissue, {"menton": 8.0}, digest))
+    write_stored(tmp_path / "a.npz", Stored(skin, tissue, muscle, {"menton": 8.0}, digest))
     found = store.read_stored(tmp_path / "a.npz")
     assert found is not None
     assert found.content == digest
     assert found.depths == {"menton": 8.0}
-    for name in ("vertices", "tets", "muscle", "skull_faces"):
+    for size, labels in muscle.items():
+        assert np.array_equal(found.muscle[size], labels)
+    for name in ("vertices", "tets", "skull_faces"):
         assert np.array_equal(getattr(found.tissue, name), getattr(tissue, name))
 
 
