@@ -56,7 +56,11 @@ def check_pose(reference: FloatArray, points: FloatArray) -> None:
         )
     if not SIZES[0] < scale < SIZES[1]:
         likely = [unit for unit, mm in UNITS.items() if SIZES[0] < scale * mm < SIZES[1]]
-        hint = f" It looks like {likely[0]}: multiply by {UNITS[likely[0]]:g}." if likely else " Check the landmarks."
+        hint = (
+            f" It looks like {likely[0]}: multiply by {UNITS[likely[0]]:g} (or write the unit into the landmarks file)."
+            if likely
+            else " Check the landmarks."
+        )
         raise InvalidInput(
             f"head: expected a head in mm, got one that is {scale:.3g} times as large as the reference head.{hint}"
         )

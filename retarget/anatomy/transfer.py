@@ -111,6 +111,11 @@ class _Transfer:
         """What the walls separate, as numbers for the vertices of the reference and of the head; -1 on a wall."""
         theirs = parts(self.ref_faces, len(self.registered), self.walls)
         mine = parts(self.faces, len(self.vertices), {name: self.loops[name] for name in self.walls})
+        if frozenset() in mine:
+            raise InvalidInput(
+                f"head: expected one connected piece, the skin, got others of {len(mine[frozenset()])} vertices; "
+                "leave out eyeballs, teeth and lashes, see isolate_skin."
+            )
         if extra := [key for key in mine if key not in theirs]:
             raise InvalidInput(
                 f"loops: expected {', '.join(sorted(extra[0]))} to separate the head as on the reference, but a part "
