@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
@@ -39,5 +41,20 @@ class Joblib:
 
 
 def _limited(function: Callable[[Task], Result], task: Task, threads: int) -> Result:
-    with threadpool_limits(limits=threads):
+    with limited_threads(threads):
         return function(task)
+
+
+@contextmanager
+def limited_threads(threads: int) -> Iterator[None]:
+    """Numerical libraries, and the simulation where it is loaded, use at most so many threads."""
+    numba = sys.modules.get("numba")
+    before = numba.get_num_threads() if numba else 0
+    if numba:
+        numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))
+    try:
+        with threadpool_limits(limits=threads):
+            yield
+    finally:
+        if numba:
+            numba.set_num_threads(before)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import sys
 import time
-import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from experiments.correspondence import Known, correspondence
+from experiments.memory import peak_memory_mb
 from experiments.metrics.metric import Comparison, Measurement, Metric
 from experiments.protocol import Draw, draw
 from experiments.record import FRAMES, SCHEMA, Record, write_record
@@ -221,7 +220,7 @@ def _record(
         "prediction": None if answer is None else hashlib.sha256(np.ascontiguousarray(frames).tobytes()).hexdigest(),
         "solves": [] if answer is None else [_solve(info) for info in answer.result.info],
         "directions": {measurement.metric: measurement.direction for measurement in measurements},
-        "peak_memory_mb": _peak_memory_mb(),
+        "peak_memory_mb": peak_memory_mb(),
         **{key: value if value is None or np.isfinite(value) else None for key, value in timings.items()},
     }
     folder = task.folder / cell.id
@@ -283,14 +282,3 @@ def _write_frames(path: Path, case: _Case, pair: Pair, result: RetargetResult) -
             np.savez_compressed(file, **arrays)
 
     write_whole(path, save)
-
-
-def _peak_memory_mb() -> float:
-    """Highest resident memory of this process so far, in MB; NaN-free: 0 where the platform does not tell."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        warnings.warn("peak memory is not measured on this platform", stacklevel=2)
-        return 0.0
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (2**20 if sys.platform == "darwin" else 2**10)

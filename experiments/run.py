@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, cast
@@ -15,24 +15,31 @@ from experiments.compute import compute
 from experiments.metrics.metric import Metric
 from experiments.plan import plan
 from experiments.progress import print_path
+from experiments.runtime import RuntimeStudy, measure
 from experiments.study import Row, Study
 from experiments.tables import collect, write_tables
 from reports.report import build_report
 from reports.terminal import print_summary
 from retarget.check import InvalidInput
 from retarget.io.files import check_folder
+from retarget.suggest import choose
 from retarget.types import Retargeter
+from synth_data.dataset import Dataset
 
 
 def run(config: DictConfig, folder: Path, console: Console) -> None:
     """The main job. Raises InvalidInput with what to do if the configuration or the data cannot be used."""
-    started = datetime.now(UTC)
     check_folder(folder)
-    study = Study.from_config(_plain(config.study))
+    KINDS[choose("study.kind", config.study.kind, KINDS)](config, folder, console)
+
+
+def _compare(config: DictConfig, folder: Path, console: Console) -> None:
+    started = datetime.now(UTC)
+    study = Study.from_config(_study(config))
     methods = [Row(name, settings, _method(name, settings)) for name, settings in _chosen(config, "method")]
     study.check_rows([row.name for row in methods])
     metrics = {name: (cast(Metric, instantiate(settings)), settings) for name, settings in _chosen(config, "metric")}
-    dataset = instantiate(config.dataset).load(lambda line: console.print(f"  {line}"))
+    dataset = _dataset(config, console)
     planned = plan(study, dataset, methods, metrics, folder)
     compute(planned, instantiate(config.backend), console)
     summary = write_tables(planned, collect(planned), _plain(config), started)
@@ -41,6 +48,23 @@ def run(config: DictConfig, folder: Path, console: Console) -> None:
         print_path(folder / name, console)
     if config.report:
         print_path(build_report([folder], None, lambda line: console.print(f"  {line}")), console)
+
+
+def _measure(config: DictConfig, folder: Path, console: Console) -> None:
+    study = RuntimeStudy.from_config(_study(config))
+    measure(study, _dataset(config, console), config.backend.threads, folder, console)
+
+
+KINDS: dict[str, Callable[[DictConfig, Path, Console], None]] = {"comparison": _compare, "runtime": _measure}
+
+
+def _study(config: DictConfig) -> dict[str, Any]:
+    return {name: value for name, value in _plain(config.study).items() if name != "kind"}
+
+
+def _dataset(config: DictConfig, console: Console) -> Dataset:
+    dataset: Dataset = instantiate(config.dataset).load(lambda line: console.print(f"  {line}"))
+    return dataset
 
 
 def _chosen(config: DictConfig, group: str) -> Iterator[tuple[str, Mapping[str, Any]]]:

@@ -40,5 +40,20 @@ def print_summary(
         console.print(f"over {' or '.join(map(str, pairs))} ordered pairs, on cells that all compared methods finished")
 
 
+def print_runtime(summary: pd.DataFrame, console: Console) -> None:
+    """Print rates by form of the surface target from the summary of a study of the kind `runtime`."""
+    first = summary.iloc[0]
+    title = f"expressions per second, template {first['template']}: {first['tets']:,} tets, {first['threads']} threads"
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for name in ("surface", "per s", "with lips", "set-up s", "iterations", "lips left mm"):
+        table.add_column(name, justify="left" if name == "surface" else "right")
+    for _, row in summary.iterrows():
+        rates = f"{row['expressions_per_s']:.2f}", f"{row['expressions_per_s_collisions']:.2f}"
+        rest = f"{row['setup_seconds']:.1f}", f"{row['iterations']:.1f}", f"{row['lip_depth_after_max']:.2f}"
+        table.add_row(str(row["surface"]), *rates, *rest)
+    console.print(table)
+    console.print(f"median over {first['expressions']} expressions; peak memory {first['peak_memory_mb']:,} MB")
+
+
 def _cell(row: pd.Series[float]) -> str:
     return estimate(row["mean"], row["ci_low"], row["ci_high"]).replace("[", "\\[")
