@@ -15,7 +15,8 @@ from retarget.check import InvalidInput
 from retarget.geometry.graph import vertex_adjacency
 from retarget.types import FloatArray, IntArray, Regions
 
-TRIGGER = 0.05  # mm: shallower contacts are left alone, and those that are deeper in the neutral are no contacts
+TRIGGER = 0.05  # mm: shallower contacts are left alone
+DEEP = 1.0  # mm: what lies deeper at rest is in no contact but folded, and no candidate
 REACH = 10.0  # mm: how far the inner sides of the lips count as lips
 SLICES, PATCH = 10, 16
 
@@ -112,8 +113,8 @@ class Lips:
     the lower lip is inside of the upper one if the first triangle of the upper lip straight below it faces down; the
     other way round for points of the upper lip. # differs from the paper: it looks at points of the lower lip alone,
     which leaves points of the upper lip inside where the lower lip is meshed more coarsely.
-    Candidates are the points of the sets, but for the corners of the mouth, which both hold, and for what is inside at
-    rest.
+    Candidates are the points of the sets, but for the corners of the mouth, which both hold. Lips may touch at rest, and
+    neutrals with crossed lips stay as they are: points that are inside at rest count where they go deeper.
     """
 
     def __init__(self, rest: FloatArray, faces: IntArray, regions: Regions) -> None:
@@ -132,14 +133,15 @@ class Lips:
         self.upper_faces = np.ascontiguousarray(faces[np.isin(faces, upper).all(axis=1)])  # (u, 3)
         self.lower_faces = np.ascontiguousarray(faces[np.isin(faces, lower).all(axis=1)])  # (l, 3)
         self._upper, self._lower = (np.setdiff1d(part, corners) for part in sets)
-        inside = self.contacts(rest).points
-        self._upper, self._lower = np.setdiff1d(self._upper, inside), np.setdiff1d(self._lower, inside)
+        self._allowed = np.full(len(rest), TRIGGER)
+        resting = self.contacts(rest)
+        self._allowed[resting.points] += np.where(resting.depth < DEEP, resting.depth, np.inf)
 
-    def contacts(self, skin: FloatArray, trigger: float = TRIGGER) -> Contacts:
-        """All points of skin (n, 3) mm that are deeper than `trigger` mm in the other lip."""
+    def contacts(self, skin: FloatArray) -> Contacts:
+        """All points of skin (n, 3) mm that are deeper in the other lip than TRIGGER, and by as much than at rest."""
         x = np.ascontiguousarray(skin, dtype=np.float64)
-        below = _passed(x, self._lower, self.upper_faces, 1.0, trigger)
-        above = _passed(x, self._upper, self.lower_faces, -1.0, trigger)
+        below = _passed(x, self._lower, self.upper_faces, 1.0, self._allowed)
+        above = _passed(x, self._upper, self.lower_faces, -1.0, self._allowed)
         return Contacts(*(np.concatenate(pair) for pair in zip(below, above, strict=True)))
 
 
@@ -176,7 +178,7 @@ def _patches(rest: FloatArray, upper: IntArray, lower: IntArray) -> list[IntArra
 
 
 @njit(cache=True)
-def _passed(x, points, faces, up, trigger):  # type: ignore[no-untyped-def]
+def _passed(x, points, faces, up, allowed):  # type: ignore[no-untyped-def]
     """Points that went `up` (1 or -1) through the surface: index, triangle, barycentric coordinates and depth."""
     low, high = np.empty((len(faces), 2)), np.empty((len(faces), 2))
     for f in range(len(faces)):
@@ -213,7 +215,7 @@ def _passed(x, points, faces, up, trigger):  # type: ignore[no-untyped-def]
                 nearest, entered = depth, up * normal < 0
                 triangle[count, 0], triangle[count, 1], triangle[count, 2] = a, b, c
                 coordinates[count, 0], coordinates[count, 1], coordinates[count, 2] = r, s, t
-        if entered and nearest > trigger:
+        if entered and nearest > allowed[points[k]]:
             found[count], depths[count] = points[k], nearest
             count += 1
     return found[:count], triangle[:count], coordinates[:count], depths[:count]

@@ -61,9 +61,16 @@ def test_only_what_is_inside_counts(height, count):
     assert contacts.deepest == (pytest.approx(height) if count else 0)
 
 
-def test_points_that_are_inside_at_rest_and_corners_are_no_candidates(head):
+def test_lips_that_cross_at_rest_count_where_they_go_deeper():
     rest, faces, regions = strip(0.2)
-    assert Lips(rest, faces, regions).contacts(strip(1.0)[0]).count < 15
+    lips = Lips(rest, faces, regions)
+    assert lips.contacts(strip(0.24)[0]).count == 0
+    assert lips.contacts(strip(0.4)[0]).count > 50
+    deep, faces, regions = strip(1.2)
+    assert Lips(deep, faces, regions).contacts(strip(3.0)[0]).count < 15
+
+
+def test_corners_are_no_candidates(head):
     lips = Lips(head.skin, head.template.faces, head.template.regions)
     lowered = head.skin - np.where(np.isin(np.arange(len(head.skin)), lips._upper), 3.0, 0.0)[:, None] * [0, 1, 0]
     shared = np.intersect1d(*(head.template.regions.vertices[n] for n in ("upper_lip", "lower_lip")))
