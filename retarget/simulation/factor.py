@@ -10,6 +10,8 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from retarget.geometry.cholesky import CholeskyFactor, NotPositiveDefinite
+from retarget.simulation.dissection import DissectionFactor
+from retarget.simulation.pardiso import PardisoFactor
 from retarget.suggest import choose
 from retarget.types import FloatArray
 
@@ -47,7 +49,9 @@ class SuperLUFactor:
 
 
 BACKENDS: dict[str, Callable[[sp.sparray | sp.spmatrix, str], Factor]] = {
-    "cholespy": CholeskyFactor,
+    "cholespy": CholeskyFactor,  # fastest for the three columns of one frame
+    "dissection": DissectionFactor,  # fastest for many columns: batches, condensation
+    "pardiso": PardisoFactor,  # if the mkl wheel is installed
     "superlu": SuperLUFactor,
 }
 

@@ -4,11 +4,27 @@ import scipy.sparse as sp
 
 from retarget.check import InvalidInput
 from retarget.geometry.cholesky import NotPositiveDefinite
+from retarget.simulation import pardiso
+from retarget.simulation.dissection import DissectionFactor
 from retarget.simulation.factor import BACKENDS, factorise
 from tests.retarget.geometry.test_cholesky import grid_laplacian
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
+def installed(backend):
+    try:
+        factorise(sp.eye_array(3), backend=backend)
+    except InvalidInput:
+        return False
+    return True
+
+
+INSTALLED = [
+    pytest.param(b, marks=pytest.mark.skipif(not installed(b), reason=f"{b}: its wheel is not installed"))
+    for b in BACKENDS
+]
+
+
+@pytest.mark.parametrize("backend", INSTALLED)
 def test_every_backend_solves_like_a_dense_solver(backend):
     matrix = grid_laplacian(15)
     rhs = np.random.default_rng(0).normal(size=(225, 3))
@@ -19,7 +35,7 @@ def test_every_backend_solves_like_a_dense_solver(backend):
     assert factor.solve(rhs).flags.c_contiguous
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("backend", INSTALLED)
 @pytest.mark.parametrize(
     "matrix",
     [
@@ -36,6 +52,35 @@ def test_every_backend_refuses_what_has_no_unique_solution(backend, matrix):
 
 def test_an_unknown_backend_is_refused():
     with pytest.raises(
-        InvalidInput, match=r"backend: 'cholespi' is unknown.*cholespy, superlu.*Did you mean 'cholespy'"
+        InvalidInput,
+        match=r"backend: 'cholespi' is unknown.*cholespy, dissection, pardiso, superlu.*Did you mean 'cholespy'",
     ):
         factorise(sp.eye_array(3), backend="cholespi")
+
+
+def test_many_columns_are_solved_like_single_ones_and_threads_change_no_bit():
+    import numba
+
+    matrix = grid_laplacian(40)
+    rhs = np.random.default_rng(0).normal(size=(1600, 12))
+    factor, single = DissectionFactor(matrix), DissectionFactor(matrix, single=True)
+    expected = factorise(matrix).solve(rhs)
+    before = numba.get_num_threads()
+    for threads in sorted({1, before}):
+        numba.set_num_threads(threads)
+        together = factor.solve(rhs)
+        np.testing.assert_allclose(together, expected, atol=1e-10)
+        np.testing.assert_allclose(np.hstack([factor.solve(c) for c in np.split(rhs, 4, axis=1)]), together, atol=1e-10)
+        np.testing.assert_allclose(single.solve(rhs), expected, atol=1e-4 * np.abs(expected).max())
+        if threads == 1:
+            first = together
+    numba.set_num_threads(before)
+    np.testing.assert_array_equal(first, together)
+
+
+def test_a_missing_wheel_is_named(monkeypatch):
+    monkeypatch.setattr(pardiso.metadata, "files", lambda name: [])
+    pardiso._library.cache_clear()
+    with pytest.raises(InvalidInput, match="expected the `mkl` wheel"):
+        factorise(sp.eye_array(3), backend="pardiso")
+    pardiso._library.cache_clear()
