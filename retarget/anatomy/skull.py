@@ -191,15 +191,19 @@ def _sample(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, sp.csr_a
 
 
 def _cavity_limit(vertices: FloatArray, faces: IntArray, regions: Regions, grid: _Grid) -> FloatArray:
-    """Distance in mm of grid points in the tissue from the skin of mouth and eye sockets, less the clearance."""
-    interior = regions.vertices["interior"]
+    """Distance in mm of grid points in the tissue from the skin of mouth, eye sockets and ears, less the clearance.
+
+    Ears are bridged, but an ear canal may reach farther in than the bone under the bridge."""
     limit = np.full(len(grid.points), 4 * grid.spacing)
-    for part in components(vertex_adjacency(faces, len(vertices))[interior][:, interior]):
-        corners = vertices[interior[part]]
-        reach = CAVITY_CLEARANCE + ROUNDING + 2 * grid.spacing
-        box = grid.box(corners.min(axis=0) - reach, corners.max(axis=0) + reach)
-        found = signed_distance((vertices, faces), grid.points[box]) - CAVITY_CLEARANCE
-        limit[box] = np.minimum(limit[box], found)
+    adjacency = vertex_adjacency(faces, len(vertices))
+    for name, clearance in (("interior", CAVITY_CLEARANCE), ("ears", CLEARANCE)):
+        members = regions.vertices[name]
+        for part in components(adjacency[members][:, members]):
+            corners = vertices[members[part]]
+            reach = clearance + ROUNDING + 2 * grid.spacing
+            box = grid.box(corners.min(axis=0) - reach, corners.max(axis=0) + reach)
+            found = signed_distance((vertices, faces), grid.points[box]) - clearance
+            limit[box] = np.minimum(limit[box], found)
     return limit
 
 
