@@ -54,7 +54,7 @@ def regions_sheet(path: Path | str, vertices: FloatArray, faces: IntArray, regio
     for axis, side, turn in ((axes[2], "right", -12.0), (axes[3], "left", 12.0)):
         camera = look(vertices[parts[f"eye_{side}"]], SIZE, turn, 0.0, margin=0.1)
         _show(axis, _loops(render_mesh(vertices, faces, camera, SIZE, color=SKIN), vertices, faces, regions, camera))
-    _legend(axes[0], list(LOOPS), "loops, where they are seen")
+    _legend(axes[0], [name for name in LOOPS if name in regions.loops], "loops, where they are seen")
 
     axes = rows[3].subplots(1, 4)
     camera = look(vertices[parts["eye_left"]], SIZE, 12.0, 0.0, margin=0.1)
@@ -92,12 +92,11 @@ def _sets(vertices: FloatArray, faces: IntArray, regions: Regions, names: Sequen
 
 
 def _loops(image: Image, vertices: FloatArray, faces: IntArray, regions: Regions, camera: Camera) -> Image:
-    for name, color in zip(LOOPS, COLORS, strict=False):
-        if name in regions.loops:
-            points = vertices[regions.loops[name]]
-            shown = visible(points, vertices, faces, camera)
-            pixels = camera.project(points, SIZE)
-            image = draw_points(draw_lines(image, pixels, color, 1.8, shown=shown), pixels[shown], color, 2.0, None)
+    for name, color in zip((n for n in LOOPS if n in regions.loops), COLORS, strict=False):
+        points = vertices[regions.loops[name]]
+        shown = visible(points, vertices, faces, camera)
+        pixels = camera.project(points, SIZE)
+        image = draw_points(draw_lines(image, pixels, color, 1.8, shown=shown), pixels[shown], color, 2.0, None)
     return image
 
 
