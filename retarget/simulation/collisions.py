@@ -113,8 +113,8 @@ class Lips:
     the lower lip is inside of the upper one if the first triangle of the upper lip straight below it faces down; the
     other way round for points of the upper lip. # differs from the paper: it looks at points of the lower lip alone,
     which leaves points of the upper lip inside where the lower lip is meshed more coarsely.
-    Candidates are the points of the sets, but for the corners of the mouth, which both hold. Lips may touch at rest, and
-    neutrals with crossed lips stay as they are: points that are inside at rest count where they go deeper.
+    Candidates are the points of the sets, but for the corners of the mouth, which both hold. Lips may touch at rest,
+    and neutrals with crossed lips stay as they are: points that are inside at rest count where they go deeper.
     """
 
     def __init__(self, rest: FloatArray, faces: IntArray, regions: Regions) -> None:

@@ -61,6 +61,12 @@ def test_only_what_is_inside_counts(height, count):
     assert contacts.deepest == (pytest.approx(height) if count else 0)
 
 
+def test_a_point_beyond_a_surface_that_faces_it_is_outside():
+    """The outer side of a lip: the point has come out again, or was never in."""
+    rest, faces, regions = strip(-1.0)
+    assert Lips(rest, faces[:, ::-1], regions).contacts(strip(0.2)[0]).count == 0
+
+
 def test_lips_that_cross_at_rest_count_where_they_go_deeper():
     rest, faces, regions = strip(0.2)
     lips = Lips(rest, faces, regions)
