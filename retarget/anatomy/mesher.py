@@ -41,17 +41,21 @@ def tetrahedralise(
         given, made = Path(folder) / "given.npz", Path(folder) / "made.npz"
         points, cells, lengths = sizing
         np.savez(given, v=vertices, f=faces, p=points, c=cells, h=lengths, settings=np.array([envelope, quality]))
-        process = subprocess.Popen(
+        last = ""
+        with subprocess.Popen(
             [sys.executable, "-m", __name__, given.name, made.name],
             cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        )  # fmt: skip
-        assert process.stdout is not None
-        last = ""
-        for line in process.stdout:
-            if found := _PASS.search(line):
-                progress(f"tetrahedra: pass {found[1]}")
-            last = line.strip() or last
-        if process.wait() != 0 or not made.is_file():
+        ) as process:  # fmt: skip
+            assert process.stdout is not None
+            try:
+                for line in process.stdout:
+                    if found := _PASS.search(line):
+                        progress(f"tetrahedra: pass {found[1]}")
+                    last = line.strip() or last
+            except BaseException:  # interrupted: no mesher goes on unseen
+                process.kill()
+                raise
+        if process.returncode != 0 or not made.is_file():
             raise InvalidInput(
                 f"tetrahedra: fTetWild ended with status {process.returncode} and {last!r}; check that the surface is "
                 "closed, free of self-intersections and in mm."

@@ -29,7 +29,9 @@ def refine(tissue: Tissue) -> Tissue:
     """
     tets, vertices = tissue.tets, tissue.vertices
     count = len(vertices)
-    edges, owner = np.unique(np.sort(tets[:, _EDGES].reshape(-1, 2), axis=1), axis=0, return_inverse=True)
+    low, high = np.sort(tets[:, _EDGES].reshape(-1, 2), axis=1).T
+    keys, owner = np.unique(low * count + high, return_inverse=True)
+    edges = np.stack(np.divmod(keys, count), axis=1)
     middle = count + owner.reshape(-1, 6)
     fine = np.vstack([vertices, vertices[edges].mean(axis=1)])
     ab, ac, ad, bc, bd, cd = middle.T
@@ -45,8 +47,6 @@ def refine(tissue: Tissue) -> Tissue:
         choices = [(p, q, ring[i], ring[(i + 1) % 4]) for p, q, ring in rings]
         inner.append(tuple(np.choose(shortest, [choice[k] for choice in choices]) for k in range(4)))
     children = np.stack([np.stack(child, axis=1) for child in (*corners, *inner)], axis=1).reshape(-1, 4)
-
-    keys = edges[:, 0] * count + edges[:, 1]  # ascending: np.unique sorts rows
 
     def midpoint(i: IntArray, j: IntArray) -> IntArray:
         return count + np.searchsorted(keys, np.minimum(i, j) * count + np.maximum(i, j))
