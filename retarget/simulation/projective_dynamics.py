@@ -18,9 +18,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
-from scipy.sparse.csgraph import reverse_cuthill_mckee
+from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
 from retarget.check import InvalidInput, check_vertices
+from retarget.geometry.cholesky import NotPositiveDefinite
 from retarget.simulation.anderson import Anderson
 from retarget.simulation.factor import factorise
 from retarget.simulation.local_step import TetrahedralEnergy
@@ -169,7 +170,19 @@ class ProjectiveDynamics:
         self._gather = sp.csr_array(self._embed[:, :count].T)
         matrix = sp.csr_array(matrix[self._order[:count]][:, self._order])
         self._from_fixed = matrix[:, count:]
+        self._check_held(matrix[:, :count])
         self._factor = factorise(matrix[:, :count], "projective dynamics", self.settings.backend)
+
+    def _check_held(self, matrix: sp.csr_array) -> None:
+        """A factorisation alone finds loose pieces only where rounding lets it."""
+        pieces, piece = connected_components(matrix, directed=False)
+        held = (abs(self._from_fixed).sum(axis=1) > 0) | (self._gather @ self._pull > 0)
+        loose = np.setdiff1d(np.arange(pieces), piece[held])
+        if len(loose):
+            raise NotPositiveDefinite(
+                f"projective dynamics: {len(loose)} of {pieces} connected pieces are held by nothing; expected a fixed "
+                "vertex or a target on each. Drop loose tets, fix some of their vertices or give them a target."
+            )
 
     def seen(self, vertices: FloatArray) -> FloatArray:
         """P x (k, 3) mm: where the points that have targets are, for vertices (n, 3) mm."""

@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from retarget.simulation import local_step
 from retarget.simulation.projections import (
@@ -45,9 +46,11 @@ def test_signed_svd():
 def project(f):
     """The kernel over batches of LANES matrices; determinants (t,), rotations and unit determinants (t, 3, 3)."""
     lanes = local_step.LANES
-    padded = np.concatenate([f, np.broadcast_to(np.eye(3), (-len(f) % lanes, 3, 3))]).reshape(-1, lanes, 9)
-    r, d = np.empty((2, len(padded), 9, lanes))
-    det, far, near = np.empty((3, len(padded), lanes))
+    padded = np.concatenate([f, np.broadcast_to(np.eye(3, dtype=f.dtype), (-len(f) % lanes, 3, 3))]).reshape(
+        -1, lanes, 9
+    )
+    r, d = np.empty((2, len(padded), 9, lanes), f.dtype)
+    det, far, near = np.empty((3, len(padded), lanes), f.dtype)
     for i, tile in enumerate(padded):
         local_step.project(np.ascontiguousarray(tile.T), r[i], d[i], det[i], far[i], near[i])
     r, d = (np.swapaxes(m, 1, 2).reshape(-1, 3, 3)[: len(f)] for m in (r, d))
@@ -139,3 +142,15 @@ def test_no_sampled_triangle_of_the_wanted_area_is_closer():
 def test_a_triangle_of_the_wanted_area_stays():
     f = np.random.default_rng(0).normal(size=(40, 3, 2))
     np.testing.assert_allclose(closest_area(f, np.linalg.svd(f, compute_uv=False).prod(axis=1)), f, atol=1e-12)
+
+
+@pytest.mark.parametrize(("real", "tolerance"), [(np.float64, 1e-9), (np.float32, 3e-5)])
+def test_the_kernel_finds_the_global_minimum_of_mild_strong_expanded_and_inverted_matrices(real, tolerance):
+    rng = np.random.default_rng(5)
+    f = np.concatenate(
+        [np.eye(3) + spread * rng.normal(size=(2000, 3, 3)) for spread in (0.1, 0.3, 0.8, 1.5)]
+        + [scale * np.eye(3) + 0.3 * rng.normal(size=(1000, 3, 3)) for scale in (0.4, 1.4, 1.8, 2.7)]
+    )
+    _, r, d = project(f.astype(real))
+    np.testing.assert_allclose(squared(f, r), squared(f, closest_rotation(f)), atol=tolerance)
+    np.testing.assert_allclose(squared(f, d), squared(f, closest_unit_determinant(f)), atol=tolerance)

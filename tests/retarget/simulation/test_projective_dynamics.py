@@ -156,6 +156,17 @@ def test_a_warm_start_reaches_the_same_minimum_sooner(slab):
     np.testing.assert_allclose(warm.vertices, cold.vertices, atol=0.05)
 
 
+@pytest.mark.parametrize("near", [False, True])
+def test_the_start_extends_a_translation_exactly(slab, near):
+    """Fixed vertices and targets go together: the harmonic extension is the translation, and nothing is left to do."""
+    shape, _, skull, _, skin = slab
+    shift = np.array([5.0, -3.0, 40.0])
+    neighbour = (shape.vertices + 2 * shift, skin + 2 * shift) if near else None
+    result = solver(slab, EXACT).solve(skin + shift, shape.vertices[skull] + shift, near=neighbour)
+    np.testing.assert_allclose(result.vertices, shape.vertices + shift, atol=1e-9)
+    assert result.info.energy[0] < 1e-12
+
+
 def test_soft_constraints_have_their_own_weights(slab):
     shape, muscle, skull, operator, skin = slab
     pull = np.full(len(skin), 1e-9)
@@ -208,8 +219,31 @@ def test_too_few_iterations_are_reported(slab):
 
 def test_nothing_that_holds_the_mesh_is_refused(slab):
     shape, muscle, *_ = slab
-    with pytest.raises(NotPositiveDefinite):
+    with pytest.raises(NotPositiveDefinite, match="1 of 1 connected pieces are held by nothing"):
         ProjectiveDynamics(shape, tissue_weights(shape, muscle))
+
+
+def test_the_weights_of_soft_and_muscle_tissue(slab):
+    """Eq. (14): soft tissue resists strain and change of volume alike, muscle little but change of volume."""
+    shape, muscle, *_ = slab
+    weights = tissue_weights(shape, muscle, w_soft=2.0, w_muscle=3.0, muscle_strain=0.1)
+    volume = 4 * 4 * 2.5 / 6 / 1000  # cm^3, a sixth of a cell
+    np.testing.assert_allclose(weights.strain[~muscle], 2 * volume)
+    np.testing.assert_allclose(weights.volume[~muscle], 2 * volume)
+    np.testing.assert_allclose(weights.strain[muscle], 0.3 * volume)
+    np.testing.assert_allclose(weights.volume[muscle], 3 * volume)
+
+
+def test_external_forces_lift_what_they_pull(slab):
+    """At the minimum the reaction of targets and tissue balances them: the gradient vanishes with the forces in it."""
+    shape, *_, skin = slab
+    forces = np.zeros_like(shape.vertices)
+    forces[:, 2] = 1e-4
+    problem = solver(slab, EXACT)
+    result = problem.solve(skin, forces=forces)
+    assert (result.vertices - shape.vertices)[problem.free, 2].min() > 0
+    _, descent = problem.energy_and_descent(result.vertices, skin, forces)
+    assert np.abs(descent).max() < 1e-6 * forces.max()
 
 
 def test_bad_input_is_refused(slab):
