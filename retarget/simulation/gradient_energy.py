@@ -17,12 +17,9 @@ class GradientEnergy:
 
     def __init__(self, shape: RestShape, weights: FloatArray) -> None:
         self.shape, self.weights = shape, np.ascontiguousarray(weights, dtype=np.float64)
-        order = np.argsort(shape.tets.min(axis=1), kind="stable")  # neighbours in memory are neighbours in a chunk
-        tets = shape.tets[order]
-        self._order = order.astype(np.uint32)
+        tets = shape.tets  # in their own order: gradients are read and written in a row, which is what takes time
         self._tets = np.ascontiguousarray(tets, dtype=np.uint32)
-        self._inverse = np.ascontiguousarray(shape.inverse[order]).reshape(-1, 9)
-        self._weights = self.weights[order]
+        self._inverse = np.ascontiguousarray(shape.inverse).reshape(-1, 9)
         self._bounds = np.linspace(0, len(tets), CHUNKS + 1).astype(np.int64)
         chunks = [tets[a:b] for a, b in zip(self._bounds[:-1], self._bounds[1:], strict=True)]
         self._ranges = np.array([(c.min(), c.max() + 1) if len(c) else (0, 0) for c in chunks], dtype=np.int64)
@@ -37,7 +34,7 @@ class GradientEnergy:
         """G^T W D (n, 3) for targets D (t, 3, 3). Not re-entrant: calls share one buffer."""
         wanted = np.ascontiguousarray(targets, dtype=np.float64).reshape(-1, 9)
         total = np.empty((len(self.shape.vertices), 3))
-        _scatter(self._tets, self._inverse, self._weights, self._order, wanted, self._bounds, self._ranges, self._parts)
+        _scatter(self._tets, self._inverse, self.weights, wanted, self._bounds, self._ranges, self._parts)
         _gather(self._parts, self._ranges, total)
         return total
 
@@ -46,21 +43,21 @@ class GradientEnergy:
         x = np.ascontiguousarray(vertices, dtype=np.float64)
         wanted = np.ascontiguousarray(targets, dtype=np.float64).reshape(-1, 9)
         gradients, energies = np.empty_like(wanted), np.zeros(CHUNKS)
-        _evaluate(x, self._tets, self._inverse, self._weights, self._order, wanted, self._bounds, gradients, energies)
+        _evaluate(x, self._tets, self._inverse, self.weights, wanted, self._bounds, gradients, energies)
         return float(energies.sum()), gradients.reshape(-1, 3, 3)
 
 
 @njit(cache=True, parallel=True, fastmath={"contract", "reassoc"})
-def _scatter(tets, inverse, weights, order, wanted, bounds, ranges, parts):  # type: ignore[no-untyped-def]
+def _scatter(tets, inverse, weights, wanted, bounds, ranges, parts):  # type: ignore[no-untyped-def]
     for chunk in prange(len(bounds) - 1):
         parts[chunk, ranges[chunk, 0] : ranges[chunk, 1]] = 0.0
         for t in range(bounds[chunk], bounds[chunk + 1]):
-            v0, v1, v2, v3, o, w = tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3], order[t], weights[t]
+            v0, v1, v2, v3, w = tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3], weights[t]
             m0, m1, m2 = inverse[t, 0] * w, inverse[t, 1] * w, inverse[t, 2] * w
             m3, m4, m5 = inverse[t, 3] * w, inverse[t, 4] * w, inverse[t, 5] * w
             m6, m7, m8 = inverse[t, 6] * w, inverse[t, 7] * w, inverse[t, 8] * w
             for j in range(3):
-                u, v, s = wanted[o, 3 * j], wanted[o, 3 * j + 1], wanted[o, 3 * j + 2]
+                u, v, s = wanted[t, 3 * j], wanted[t, 3 * j + 1], wanted[t, 3 * j + 2]
                 a = u * m0 + v * m1 + s * m2
                 b = u * m3 + v * m4 + s * m5
                 c = u * m6 + v * m7 + s * m8
@@ -83,11 +80,11 @@ def _gather(parts, ranges, total):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, parallel=True, fastmath={"contract", "reassoc"})  # NaN keeps its meaning
-def _evaluate(x, tets, inverse, weights, order, wanted, bounds, gradients, energies):  # type: ignore[no-untyped-def]
+def _evaluate(x, tets, inverse, weights, wanted, bounds, gradients, energies):  # type: ignore[no-untyped-def]
     for chunk in prange(len(bounds) - 1):
         energy = 0.0
         for t in range(bounds[chunk], bounds[chunk + 1]):
-            v0, v1, v2, v3, o = tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3], order[t]
+            v0, v1, v2, v3 = tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3]
             m0, m1, m2 = inverse[t, 0], inverse[t, 1], inverse[t, 2]
             m3, m4, m5 = inverse[t, 3], inverse[t, 4], inverse[t, 5]
             m6, m7, m8 = inverse[t, 6], inverse[t, 7], inverse[t, 8]
@@ -97,8 +94,8 @@ def _evaluate(x, tets, inverse, weights, order, wanted, bounds, gradients, energ
                 f0 = a * m0 + b * m3 + c * m6
                 f1 = a * m1 + b * m4 + c * m7
                 f2 = a * m2 + b * m5 + c * m8
-                d0, d1, d2 = f0 - wanted[o, 3 * j], f1 - wanted[o, 3 * j + 1], f2 - wanted[o, 3 * j + 2]
+                d0, d1, d2 = f0 - wanted[t, 3 * j], f1 - wanted[t, 3 * j + 1], f2 - wanted[t, 3 * j + 2]
                 squared += d0 * d0 + d1 * d1 + d2 * d2
-                gradients[o, 3 * j], gradients[o, 3 * j + 1], gradients[o, 3 * j + 2] = f0, f1, f2
+                gradients[t, 3 * j], gradients[t, 3 * j + 1], gradients[t, 3 * j + 2] = f0, f1, f2
             energy += weights[t] * squared
         energies[chunk] = energy
