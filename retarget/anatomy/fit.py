@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.spatial.distance import cdist
 from threadpoolctl import threadpool_limits
 
 from retarget.anatomy.bone_fit import CLEARANCE, Skin, SkullFit, measure_skull, place_skull
+from retarget.anatomy.closed import self_intersections
 from retarget.anatomy.depths import depths_with_room
 from retarget.anatomy.head import Head, HeadTemplate
 from retarget.anatomy.untangle import Repair, untangle
@@ -20,13 +22,16 @@ from retarget.geometry.procrustes import rigid_align
 from retarget.simulation.tetrahedra import MM3_PER_CM3, RestShape, hat_gradients, rest_shape
 from retarget.types import FloatArray
 
+LARGEST_RESIDUAL = 8.0  # mm on the visible skin that the tets may miss; ears miss 2 to 4
+LEAST_CARRIED = 0.4  # of the template's landmarks must keep their depths; sampled identities keep 0.54 to 0.9
+ATTEMPTS = 4  # at a skull that does not cross itself
 DEPTH_RULE = 1.0  # mm that the depth at a landmark may be off
 LARGEST_SCALE = 1.6  # of a character against the template, either way; more means another unit
 LARGEST_TURN = 45.0  # degrees between character and template; more means other axes
 LARGEST_DIFFERENCE = 0.12  # rms after rigid alignment and scale over the template's size; more means another order
 BONE_FIRMNESS = 3.0  # of a skull vertex in the repair, where a skin vertex has 1
 SKIN_CENTRES, SKULL_CENTRES = 1000, 500
-SKIN_WEIGHT = 30.0  # mm; a skin vertex' distance against the gradients of the correction
+SKIN_WEIGHT = 5e5  # mm; the skin's distance, spread over its vertices, against the gradients of the correction
 
 
 @dataclass(frozen=True)
@@ -43,7 +48,7 @@ def fit_head(template: HeadTemplate, neutral: FloatArray) -> Head:
     The skin is the neutral to the bit: skin = P vertices + residual. The skull lies under all of it, within 1 mm of the
     depths at the landmarks that have room before the mouth (`depths_with_room`). Raises InvalidInput, with the reason,
     for a neutral that no head can be made of: wrong count, NaN, degenerate triangles, another unit, axes or vertex
-    order, depths that cannot be met, or tets that stay inverted.
+    order, folded skin, depths that cannot be met, or tets that stay inverted.
     """
     return fit_with_report(template, neutral)[0]
 
@@ -57,8 +62,7 @@ def fit_with_report(template: HeadTemplate, neutral: FloatArray) -> tuple[Head, 
 
 def _fitted(template: HeadTemplate, skin: FloatArray) -> tuple[Head, FitReport]:
     new = Skin.of(skin, template.faces, template.regions)
-    depths = depths_with_room(*new.surface, template.regions, template.depths, behind=CLEARANCE)
-    x = _warped(template, skin, new, depths)
+    x, depths = _warped(template, skin, new)
     rest = rest_shape(template.vertices, template.tets)
     rotation, _ = rigid_align(template.skin, skin)
     goal = skin - (template.skin - template.embedding @ template.vertices) @ rotation.T
@@ -66,6 +70,12 @@ def _fitted(template: HeadTemplate, skin: FloatArray) -> tuple[Head, FitReport]:
     bone = template.skull
     skull = measure_skull((repair.vertices[bone], np.searchsorted(bone, template.skull_faces)), new, depths)
     _check_fit(template, repair, skull)
+    left = np.linalg.norm((goal - template.embedding @ repair.vertices)[template.regions.vertices["head"]], axis=1)
+    if left.max() > LARGEST_RESIDUAL:
+        raise InvalidInput(
+            f"neutral: expected a skin that the tets can follow within {LARGEST_RESIDUAL:g} mm, got one that leaves "
+            f"{left.max():.1f} mm at vertex {template.regions.vertices['head'][left.argmax()]}; it is folded there."
+        )
     condyles = np.array([template.regions.points[f"condyle_{side}"](skin) for side in ("left", "right")])
     return Head(template, skin, repair.vertices, condyles, skull.errors), FitReport(repair, skull)
 
@@ -125,18 +135,44 @@ def _check_fit(template: HeadTemplate, repair: Repair, skull: SkullFit) -> None:
         )
 
 
-def _warped(template: HeadTemplate, skin: FloatArray, new: Skin, depths: Mapping[str, float]) -> FloatArray:
-    """Tet vertices (m, 3) mm warped with skin and skull, the skull in its place."""
+def _warped(template: HeadTemplate, skin: FloatArray, new: Skin) -> tuple[FloatArray, dict[str, float]]:
+    """Tet vertices (m, 3) mm warped with skin and skull, the skull in its place, and the depths that it meets."""
     bone = template.skull
-    at_rest = template.vertices[bone]
+    at_rest, faces = template.vertices[bone], np.searchsorted(bone, template.skull_faces)
     on_skin, on_bone = farthest_points(template.skin, SKIN_CENTRES), farthest_points(at_rest, SKULL_CENTRES)
     sources, targets = template.skin[on_skin], skin[on_skin]
     old = Skin.of(template.skin, template.faces, template.regions)
-    skull = at_rest, np.searchsorted(bone, template.skull_faces)
-    placed = place_skull(skull, old, warp(sources, targets)(at_rest), new, depths)
+    start, depths = (
+        warp(sources, targets)(at_rest),
+        depths_with_room(*new.surface, template.regions, template.depths, behind=CLEARANCE),
+    )
+    for _ in range(ATTEMPTS):
+        placed = place_skull((at_rest, faces), old, start, new, depths)
+        crossing = self_intersections(placed, faces)
+        if len(crossing) == 0:
+            break
+        depths = _without_nearest(depths, new, placed[faces[crossing.ravel()]].mean(axis=1))
+    else:
+        raise InvalidInput(
+            f"neutral: expected room for a skull, got one that crosses itself at {len(crossing)} pairs of triangles, "
+            f"the first near {np.round(placed[faces[crossing[0, 0]]].mean(axis=0), 1).tolist()} mm; the tissue there "
+            "is too thin for the soft-tissue depths."
+        )
+    if len(depths) < LEAST_CARRIED * len(template.depths):
+        raise InvalidInput(
+            f"neutral: expected room for bone under at least {LEAST_CARRIED:.0%} of the {len(template.depths)} "
+            f"landmarks with a depth, got it under {len(depths)}; the face is too thin for the soft-tissue depths."
+        )
     x = warp(np.vstack([sources, at_rest[on_bone]]), np.vstack([targets, placed[on_bone]]))(template.vertices)
     x[bone] = placed
-    return x
+    return x, depths
+
+
+def _without_nearest(depths: Mapping[str, float], skin: Skin, points: FloatArray) -> dict[str, float]:
+    """The depths without those of the landmarks nearest to points (p, 3) mm: there, bone was squeezed to nothing."""
+    marks = skin.surface[0][[skin.regions.landmarks[name] for name in depths]]
+    nearest = np.bincount(np.argmin(cdist(points, marks), axis=1), minlength=len(marks))
+    return {name: depth for (name, depth), n in zip(depths.items(), nearest, strict=True) if 2 * n < nearest.max()}
 
 
 def _repaired(template: HeadTemplate, rest: RestShape, x: FloatArray, goal: FloatArray) -> Repair:
@@ -156,7 +192,8 @@ def _pulled(template: HeadTemplate, rest: RestShape, x: FloatArray, goal: FloatA
     gradients = sp.csr_array((blocks.ravel(), (rows, columns)), shape=(len(x), len(x)))
     p = template.embedding
     free = np.setdiff1d(np.arange(len(x)), template.skull)
-    system = sp.csr_array(gradients + SKIN_WEIGHT * (p.T @ p))[free][:, free]
+    weight = SKIN_WEIGHT / len(goal)
+    system = sp.csr_array(gradients + weight * (p.T @ p))[free][:, free]
     moved = x.copy()
-    moved[free] += CholeskyFactor(system, "skin correction").solve((SKIN_WEIGHT * (p.T @ (goal - p @ x)))[free])
+    moved[free] += CholeskyFactor(system, "skin correction").solve((weight * (p.T @ (goal - p @ x)))[free])
     return moved

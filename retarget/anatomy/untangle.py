@@ -27,6 +27,7 @@ class Repair:
     """What `untangle` did."""
 
     vertices: FloatArray  # (m, 3) mm
+    inverted: int  # tets before
     before: int  # tets at or below `FLAT` before
     after: int
 
@@ -43,7 +44,7 @@ def untangle(shape: RestShape, vertices: FloatArray, operator: sp.csr_array, tar
     operator (n, m) @ vertices stays near targets (n, 3) mm. Vertices away from bad tets keep their bits.
     """
     ratios = volume_ratios(shape, vertices)
-    before = int((ratios <= FLAT).sum())
+    inverted, before = int((ratios <= 0).sum()), int((ratios <= FLAT).sum())
     x = vertices
     for rings in range(1, _RINGS + 1):
         bad = ratios <= FLAT
@@ -51,7 +52,7 @@ def untangle(shape: RestShape, vertices: FloatArray, operator: sp.csr_array, tar
             break
         x = _relax(shape, x, bad, operator, targets, rings)
         ratios = volume_ratios(shape, x)
-    return Repair(x, before, int((ratios <= FLAT).sum()))
+    return Repair(x, inverted, before, int((ratios <= FLAT).sum()))
 
 
 def _relax(
