@@ -32,10 +32,10 @@ from retarget.simulation.soft_terms import Handles, handle_points
 from retarget.simulation.state import Bones, HeadState
 from retarget.simulation.surface import carried_by_skin, vertex_areas
 from retarget.simulation.tetrahedra import deformation_gradients, rest_shape
+from retarget.simulation.weights import PAPER_SKIN, tet_of_weight_one
 from retarget.suggest import choose
 from retarget.types import FloatArray, Status
 
-PAPER_SKIN, PAPER_TETS = 29_826, 126_612 + 107_437  # Table 2
 EPSILON = 1e-9  # of the predictor's least squares, relative to the largest change
 
 
@@ -118,13 +118,9 @@ class InverseSimulation:
         self._mass = np.bincount(template.tets.ravel(), np.repeat(self.shape.volumes / 4, 4), len(head.vertices))
 
     def _target_weights(self) -> FloatArray:
-        """w_tar per vertex of the skin, such that heads and meshes of any size balance tissue and target alike.
-
-        Eqs (11) to (13) add up 234,049 tets of weight one and 29,826 skin vertices; here the same totals are spread by
-        volume and by area.  # differs from the paper: which has one mesh and needs no norm
-        """
+        """w_tar of eq. (14) for each skin vertex: the paper's total, spread by area; see `weights`."""
         areas = vertex_areas(self.head.skin, self.head.template.faces)
-        total = self.settings.w_target * PAPER_SKIN * self.shape.volumes.sum() / PAPER_TETS
+        total = self.settings.w_target * PAPER_SKIN * tet_of_weight_one(self.head)
         weights: FloatArray = total * areas / areas.sum()
         return weights
 
@@ -165,7 +161,7 @@ class InverseSimulation:
         known.append((self.head.vertices, self._seen(self.head.vertices)))
         for skin in skins:
             posed = self._pose(skin, None)
-            found = self.solver.solve_many([self._problem(posed, _predicted(known, posed.targets), (0.0, 0.0, 0.0))])[0]
+            found = self.solver.solve_many([self._problem(posed, self._predicted(known, posed), (0.0, 0.0, 0.0))])[0]
             if found.info.status is not Status.FAILED:
                 known.append((found.vertices, posed.targets))
             yield self._state(posed, found)
@@ -210,16 +206,20 @@ class InverseSimulation:
             found.vertices, skin, deformation_gradients(self.shape, found.vertices), posed.bones, found.info
         )
 
-
-def _predicted(known: deque[tuple[FloatArray, FloatArray]], targets: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The affine combination of known (vertices, targets) whose targets are closest to those wanted."""
-    vertices, last = known[-1]
-    changes = np.stack([goal - last for _, goal in list(known)[:-1]] or [np.zeros_like(last)]).reshape(-1, last.size)
-    products = changes @ changes.T
-    ridge = EPSILON * np.trace(products) + np.finfo(float).tiny
-    weights = np.linalg.solve(products + ridge * np.eye(len(products)), changes @ (targets - last).ravel())
-    combined, goal = vertices.copy(), last.copy()
-    for weight, (shape, seen) in zip(weights, list(known)[:-1], strict=False):
-        combined += weight * (shape - vertices)
-        goal += weight * (seen - last)
-    return combined, goal
+    def _predicted(self, known: deque[tuple[FloatArray, FloatArray]], posed: _Posed) -> tuple[FloatArray, FloatArray]:
+        """The affine combination of known (vertices, targets) that is closest in targets and fixed vertices."""
+        vertices, last = known[-1]
+        if len(known) == 1:
+            return vertices, last
+        fixed = self.solver.fixed
+        before = [(shape - vertices, goal - last) for shape, goal in list(known)[:-1]]
+        changes = np.stack([np.vstack([goal, shape[fixed]]).ravel() for shape, goal in before])
+        wanted = np.vstack([posed.targets - last, posed.fixed - vertices[fixed]]).ravel()
+        products = changes @ changes.T
+        ridge = EPSILON * np.trace(products) + np.finfo(float).tiny
+        weights = np.linalg.solve(products + ridge * np.eye(len(products)), changes @ wanted)
+        combined, seen = vertices.copy(), last.copy()
+        for weight, (shape, goal) in zip(weights, before, strict=True):
+            combined += weight * shape
+            seen += weight * goal
+        return combined, seen

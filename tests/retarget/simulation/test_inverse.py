@@ -136,6 +136,8 @@ def test_the_hard_surface_moves_with_the_skin(head):
     hard = InverseSimulation(head, InverseSettings(surface="hard"))(wanted)
     assert hard.info.status is Status.CONVERGED
     np.testing.assert_allclose(hard.vertices[outer] - head.vertices[outer], carry @ (wanted - head.skin), atol=1e-9)
+    streamed = list(InverseSimulation(head, InverseSettings(surface="hard")).stream(expressions(head)))
+    np.testing.assert_allclose(streamed[-1].vertices, hard.vertices, atol=0.1)
     soft = InverseSimulation(head, InverseSettings(w_target=1e5))(wanted)
     np.testing.assert_allclose(soft.vertices, hard.vertices, atol=0.35)
 
@@ -143,7 +145,7 @@ def test_the_hard_surface_moves_with_the_skin(head):
 def test_artistic_control(head, simulation):
     """A pulled point follows, stiff regions deform less, and weight lowers what no bone holds."""
     tip = int(np.argmin(((head.skin - [18.0, 30.0, 20.0]) ** 2).sum(axis=1)))
-    handled = InverseSimulation(head, handles=Handles(skin=np.array([tip]), weights=100.0))
+    handled = InverseSimulation(head, handles=Handles(skin=np.array([tip]), weights=1e5))
     state = handled(head.skin, handles=head.skin[[tip]] + [0, 0, 2.0])
     assert state.skin[tip, 2] - head.skin[tip, 2] > 0.3
     with pytest.raises(InvalidInput, match="made with 1, expected a target"):
