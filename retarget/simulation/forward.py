@@ -39,9 +39,9 @@ class ForwardSettings:
 
     w_soft: float = 1.0  # w_nabla-S of Table 3
     w_muscle: float = 1.0  # w_nabla-M of Table 3
-    w_lip_contour: float = 10.0  # w_F of Table 3
-    w_eye_opening: float = 10.0  # as well; see `area_terms` for its unit
-    w_eye_socket: float = 10.0
+    w_lip_contour: float = 1000.0  # differs from the paper: w_F = 10 of Table 3 meets the contour half-way at best
+    w_eye_opening: float = 1000.0  # as well; see `weights` for the unit, and `area_terms` for that of areas
+    w_eye_socket: float = 1000.0
     area_tolerance: float = 1e-5  # rms change of the triangles' gradients in one iteration
     area_iterations: int = 200
     collisions: bool = True  # step 3

@@ -13,6 +13,7 @@ from retarget.simulation.area_terms import area_terms
 from retarget.simulation.characteristics import EYE_OPENINGS, EYE_SOCKETS, Characteristics
 from retarget.simulation.condensed import SoftRows
 from retarget.simulation.projective_dynamics import LENGTH_UNIT
+from retarget.simulation.weights import tet_of_weight_one
 from retarget.types import FloatArray, IntArray
 
 NONE = np.empty(0, dtype=np.int64)
@@ -20,7 +21,7 @@ NONE = np.empty(0, dtype=np.int64)
 
 @dataclass(frozen=True)
 class SoftWeights:
-    """Weights of the parts of eq. (A.1), 0 leaves one out."""
+    """Weights of the parts of eq. (A.1), in the unit of `weights.tet_of_weight_one`; 0 leaves one out."""
 
     lip_contour: float
     eye_opening: float
@@ -33,7 +34,7 @@ class Handles:
 
     skin: IntArray = field(default_factory=NONE.copy)  # (a,) indices of skin vertices
     vertices: IntArray = field(default_factory=NONE.copy)  # (b,) indices of tet vertices
-    weights: float | FloatArray = 10.0  # one number or (a + b,), > 0; 10 is as strong as the lip contour
+    weights: float | FloatArray = 1000.0  # one number or (a + b,), > 0, in the unit of Table 3's weights
 
     @property
     def count(self) -> int:
@@ -56,6 +57,7 @@ class SoftTerms:
         """more: skin vertices that need to be points as well."""
         regions = head.template.regions
         self.head, self.weights = head, weights
+        unit = tet_of_weight_one(head)
         contour = regions.loops.get("lip_contour", NONE)
         triangles = {
             term: np.concatenate([regions.patches.get(name, np.empty((0, 3), np.int64)) for name in names])
@@ -74,12 +76,14 @@ class SoftTerms:
         self._counts = {"lip_contour": len(contour)} | {term: len(t) for term, t in triangles.items()}
         if len(contour) and weights.lip_contour > 0:
             pick = sp.eye_array(len(self.skin), format="csr")[self.place[contour]]
-            self._rows["lip_contour"] = SoftRows(pick, np.full(len(contour), weights.lip_contour / LENGTH_UNIT**2))
+            self._rows["lip_contour"] = SoftRows(
+                pick, np.full(len(contour), unit * weights.lip_contour / LENGTH_UNIT**2)
+            )
         for term, faces in triangles.items():
             areas = area_terms(head.skin[self.skin], self.place[faces])
             if len(areas.kept) and getattr(weights, term) > 0:
                 self._kept[term] = areas.kept
-                self._rows[term] = SoftRows(areas.operator, np.repeat(getattr(weights, term) * areas.weights, 2))
+                self._rows[term] = SoftRows(areas.operator, np.repeat(unit * getattr(weights, term) * areas.weights, 2))
 
     def goals(self, given: Characteristics) -> Goals:
         """Raises InvalidInput for characteristics that do not fit this topology or are not finite."""
@@ -117,9 +121,13 @@ def handle_points(head: Head, handles: Handles) -> tuple[sp.csr_array, FloatArra
             raise InvalidInput(
                 f"handles.{name}: expected indices from 0 to {count - 1}, got {part.min()} to {part.max()}."
             )
-    weights = np.broadcast_to(np.asarray(handles.weights, dtype=np.float64), (handles.count,)) / LENGTH_UNIT**2
+    weights = np.broadcast_to(np.asarray(handles.weights, dtype=np.float64), (handles.count,))
     if not (np.isfinite(weights).all() and (weights > 0).all()):
         raise InvalidInput("handles.weights: expected finite numbers > 0, one or one for each handle.")
     pick = sp.eye_array(len(head.vertices), format="csr")[vertices]
     points = sp.csr_array(sp.vstack([head.template.embedding[skin], pick]))
-    return points, np.vstack([head.residual[skin], np.zeros((len(vertices), 3))]), weights
+    return (
+        points,
+        np.vstack([head.residual[skin], np.zeros((len(vertices), 3))]),
+        weights * tet_of_weight_one(head) / LENGTH_UNIT**2,
+    )
