@@ -58,23 +58,25 @@ class Skin:
         return _unit((points - closest(self.surface, points)) * np.where(depth < 0, -1.0, 1.0)[:, None])
 
 
-def place_skull(skull: Surface, skin: Skin, start: FloatArray, new: Skin, depths: Mapping[str, float]) -> FloatArray:
+def place_skull(
+    skull: Surface, skin: Skin, start: FloatArray, new: Skin, depths: Mapping[str, float], least: float = CLEARANCE
+) -> FloatArray:
     """Move the skull vertices `start` (k, 3) mm, faces as in `skull`, under the skin `new`.
 
     Its depths under the bridged skin become those of the template's `skull` under its `skin`; the distances from the
-    landmarks become `depths` in mm; it keeps a clearance under all skin. The corrections are smooth in space. A skull
+    landmarks become `depths` in mm; it keeps `least` mm under all skin. The corrections are smooth in space. A skull
     that is right already is returned unchanged.
     """
     rest, faces = skull
     at = [new.regions.landmarks[name] for name in depths]
     marks, wanted = new.surface[0][at], np.array(list(depths.values()))
     own = skin.depth(rest)
-    clearance = np.minimum(CLEARANCE, 0.8 * own)
+    clearance = np.minimum(least, 0.8 * own)
     tolerance = np.clip(np.abs(distance_to(skull, skin.surface[0][at]) - wanted) + 0.01, TOLERANCE, LARGEST_TOLERANCE)
     x = start + _depth_step(rest, start, own, skin, new)
     radius, depth = wanted.copy(), np.zeros(len(x))
     for _ in range(_ROUNDS):
-        near = depth < CLEARANCE  # a bound: the others cannot have come so near by their moves
+        near = depth < least  # a bound: the others cannot have come so near by their moves
         depth[near] = new.depth(x[near])
         errors = distance_to((x, faces), marks) - wanted
         off, shallow = np.abs(errors) > tolerance, depth < clearance

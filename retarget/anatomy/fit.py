@@ -146,8 +146,8 @@ def _warped(template: HeadTemplate, skin: FloatArray, new: Skin) -> tuple[FloatA
         warp(sources, targets)(at_rest),
         depths_with_room(*new.surface, template.regions, template.depths, behind=CLEARANCE),
     )
-    for _ in range(ATTEMPTS):
-        placed = place_skull((at_rest, faces), old, start, new, depths)
+    for attempt in range(ATTEMPTS):
+        placed = place_skull((at_rest, faces), old, start, new, depths, CLEARANCE * 0.5**attempt)
         crossing = self_intersections(placed, faces)
         if len(crossing) == 0:
             break
