@@ -207,14 +207,14 @@ class InverseSimulation:
         )
 
     def _predicted(self, known: deque[tuple[FloatArray, FloatArray]], posed: _Posed) -> tuple[FloatArray, FloatArray]:
-        """The affine combination of known (vertices, targets) that is closest in targets and fixed vertices."""
+        """The affine combination of known (vertices, targets) that is closest in targets, or in fixed vertices if there are none."""
         vertices, last = known[-1]
         if len(known) == 1:
             return vertices, last
         fixed = self.solver.fixed
         before = [(shape - vertices, goal - last) for shape, goal in list(known)[:-1]]
-        changes = np.stack([np.vstack([goal, shape[fixed]]).ravel() for shape, goal in before])
-        wanted = np.vstack([posed.targets - last, posed.fixed - vertices[fixed]]).ravel()
+        changes = np.stack([(goal if last.size else shape[fixed]).ravel() for shape, goal in before])
+        wanted = (posed.targets - last if last.size else posed.fixed - vertices[fixed]).ravel()
         products = changes @ changes.T
         ridge = EPSILON * np.trace(products) + np.finfo(float).tiny
         weights = np.linalg.solve(products + ridge * np.eye(len(products)), changes @ wanted)
