@@ -207,7 +207,7 @@ class InverseSimulation:
         )
 
     def _predicted(self, known: deque[tuple[FloatArray, FloatArray]], posed: _Posed) -> tuple[FloatArray, FloatArray]:
-        """The affine combination of known (vertices, targets) that is closest in targets, or in fixed vertices if there are none."""
+        """The affine combination of known (vertices, targets) closest in targets, or in fixed vertices without any."""
         vertices, last = known[-1]
         if len(known) == 1:
             return vertices, last
