@@ -23,7 +23,7 @@ from retarget.simulation.tetrahedra import MM3_PER_CM3, RestShape, hat_gradients
 from retarget.types import FloatArray
 
 LARGEST_RESIDUAL = 8.0  # mm on the visible skin that the tets may miss; ears miss 2 to 4
-LEAST_CARRIED = 0.4  # of the template's landmarks must keep their depths; sampled identities keep 0.54 to 0.9
+LEAST_CARRIED = 0.4  # of the template's landmarks must keep their depths; sampled identities keep 0.54 to 0.75
 ATTEMPTS = 4  # at a skull that does not cross itself
 DEPTH_RULE = 1.0  # mm that the depth at a landmark may be off
 LARGEST_SCALE = 1.6  # of a character against the template, either way; more means another unit
