@@ -6,4 +6,4 @@ cd "$(dirname "$0")"
 compile() { uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate \
     --custom-compile-command ./lock.sh pyproject.toml "$@"; }
 compile --extra test -o requirements.lock
-compile --extra test --extra launchers -c requirements.lock -o requirements-extras.lock
+compile --extra test --extra launchers --extra pardiso -c requirements.lock -o requirements-extras.lock
