@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from retarget.check import InvalidInput
 from retarget.geometry.graph import vertex_adjacency
+from retarget.simulation.penetration import Surface
 from retarget.types import FloatArray, IntArray, Regions
 
 TRIGGER = 0.05  # mm: shallower contacts are left alone
@@ -136,6 +137,8 @@ class Lips:
         self._allowed = np.full(len(rest), TRIGGER)
         resting = self.contacts(rest)
         self._allowed[resting.points] += np.where(resting.depth < DEEP, resting.depth, np.inf)
+        self._surfaces = Surface(self.upper_faces, len(rest)), Surface(self.lower_faces, len(rest))
+        self._resting = self._depths(rest)
 
     def contacts(self, skin: FloatArray) -> Contacts:
         """All points of skin (n, 3) mm that are deeper in the other lip than TRIGGER, and by as much than at rest."""
@@ -143,6 +146,16 @@ class Lips:
         below = _passed(x, self._lower, self.upper_faces, 1.0, self._allowed)
         above = _passed(x, self._upper, self.lower_faces, -1.0, self._allowed)
         return Contacts(*(np.concatenate(pair) for pair in zip(below, above, strict=True)))
+
+    def depth(self, skin: FloatArray) -> float:
+        """mm: how deep any candidate lies behind the other lip of skin (n, 3) mm, along that lip's normals and beyond
+        its depth at rest. It sees what `contacts` cannot: points that are inside with no counterpart straight below.
+        """
+        return float((self._depths(skin) - self._resting).max(initial=0.0))
+
+    def _depths(self, skin: FloatArray) -> FloatArray:
+        upper, lower = self._surfaces
+        return np.concatenate([upper.depths(skin, self._lower), lower.depths(skin, self._upper)])
 
 
 def _with_inner_sides(

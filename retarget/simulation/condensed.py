@@ -15,12 +15,13 @@ back-substitutions with A whatever happens in between.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import solve_triangular
 
 from retarget.simulation.area_terms import project
 from retarget.simulation.factor import Factor
@@ -126,31 +127,56 @@ class CondensedSolution:
 
     forces: FloatArray  # (m, 3) at the points: all rows together
     held: FloatArray  # (r, 3) multipliers of the fixed rows, the forces that each exerts
+    goal: FloatArray  # (2 k, 3) gradients that the triangles were drawn to
     energy: tuple[float, ...]
     status: Status
 
 
 class SoftSystem:
-    """The dense system of one set of soft rows: `fixed` with given targets, `areas` (2 k) with wanted area ratios."""
+    """The dense system of one set of soft rows: `fixed` with given targets, `areas` (2 k) with wanted area ratios.
+
+    In multipliers (held, pull) it reads [[inner, across], [across^T, outer]], with the lower factor L of `inner`,
+    half = L^-1 across and the inverse P^-1 + R^T R of what is left of `outer` once `fixed` is eliminated.
+    """
 
     def __init__(self, system: CondensedSystem, fixed: SoftRows, areas: SoftRows) -> None:
-        self.fixed, self.areas = fixed, areas
+        self.system, self.fixed, self.areas = system, fixed, areas
         system.require(np.union1d(fixed.operator.indices, areas.operator.indices))
-        from_fixed, from_areas = fixed.operator @ system.compliance, areas.operator @ system.compliance
-        across = from_fixed @ areas.operator.T
-        inner = from_fixed @ fixed.operator.T
-        inner[np.diag_indices_from(inner)] += 1 / fixed.weights
-        outer = from_areas @ areas.operator.T
-        outer[np.diag_indices_from(outer)] += 1 / areas.weights
-        self._across = across
-        self._factor = cho_factor(inner, lower=True, check_finite=False) if len(inner) else None
-        if self._factor is not None and len(outer):
-            half = solve_triangular(self._factor[0], across, lower=True, check_finite=False)
-            outer = outer - half.T @ half
-        self._inverse = np.linalg.inv(outer) if len(outer) else outer  # small, and applied in every iteration
+        from_fixed = fixed.operator @ system.compliance
+        self._across = from_fixed @ areas.operator.T
+        self._lower = _lower(_regular(from_fixed @ fixed.operator.T, fixed.weights))
+        self._half = _substitute(self._lower, self._across)
+        outer = _regular(areas.operator @ system.compliance @ areas.operator.T, areas.weights)
+        self._inverse = np.linalg.inv(outer - self._half.T @ self._half)  # small, and applied in every iteration
+        self._rise = np.empty((0, len(outer)))  # R
 
-    def solve(self, problem: SoftProblem, max_iterations: int = 200, tolerance: float = 1e-5) -> CondensedSolution:
-        """Without areas the minimum is exact at once. With them, projective dynamics on the rows of the triangles,
+    def with_fixed(self, more: SoftRows) -> SoftSystem:
+        """The system with more fixed rows under the present ones, at the cost of their number alone."""
+        new = copy.copy(self)
+        new.fixed = SoftRows.stack([self.fixed, more], self.fixed.operator.shape[1])
+        self.system.require(more.operator.indices)
+        from_more = more.operator @ self.system.compliance
+        left = _substitute(self._lower, (from_more @ self.fixed.operator.T).T)
+        below = _lower(_regular(from_more @ more.operator.T, more.weights) - left.T @ left)
+        across = from_more @ self.areas.operator.T
+        half = _substitute(below, across - left.T @ self._half)
+        lifted = self._inverse @ half.T + self._rise.T @ (self._rise @ half.T)
+        risen = _substitute(_lower(_regular(-half @ lifted, np.ones(len(half)))), lifted.T)  # Woodbury
+        new._across, new._half = np.vstack([self._across, across]), np.vstack([self._half, half])
+        new._lower = np.block([[self._lower, np.zeros((len(self._lower), len(below)))], [left.T, below]])
+        new._rise = np.vstack([self._rise, risen])
+        return new
+
+    def solve(
+        self,
+        problem: SoftProblem,
+        max_iterations: int = 200,
+        tolerance: float = 1e-5,
+        start: FloatArray | None = None,
+    ) -> CondensedSolution:
+        """start: `goal` of a solution close by.
+
+        Without areas the minimum is exact at once. With them, projective dynamics on the rows of the triangles,
         accelerated and safeguarded: the energy never rises. It stops where a plain iteration would change the
         triangles' projected gradients by less than `tolerance` (rms).
         """
@@ -159,9 +185,10 @@ class SoftSystem:
         held = self._hold(miss)
         base = float(np.vdot(miss, held))
         if not len(ratios):
-            return CondensedSolution(self.fixed.operator.T @ held, held, (base,), _status(base, Status.CONVERGED))
+            forces = self.fixed.operator.T @ held
+            return CondensedSolution(forces, held, np.empty((0, 3)), (base,), _status(base, Status.CONVERGED))
         drift = self.areas.operator @ points + self._across.T @ held  # the triangles if their terms were absent
-        goal = project(drift, ratios)
+        goal = project(drift, ratios) if start is None else start
         energy, pull, projected = self._evaluate(drift, goal, ratios)
         energies, status = [base + energy], Status.MAX_ITERATIONS
         accelerate = Anderson(5)
@@ -184,25 +211,42 @@ class SoftSystem:
             energies.append(base + energy)
         held = self._hold(miss - self._across @ pull)
         forces = self.fixed.operator.T @ held + self.areas.operator.T @ pull
-        return CondensedSolution(forces, held, tuple(energies), _status(energies[-1], status))
+        return CondensedSolution(forces, held, goal, tuple(energies), _status(energies[-1], status))
 
     def _hold(self, miss: FloatArray) -> FloatArray:
         """Multipliers of the fixed rows that miss their targets by (r, 3)."""
-        if self._factor is None:
-            return miss
-        held: FloatArray = cho_solve(self._factor, miss, check_finite=False)
+        held: FloatArray = _substitute(self._lower, _substitute(self._lower, miss), transposed=True)
         return held
 
     def _evaluate(
         self, drift: FloatArray, goal: FloatArray, ratios: FloatArray
     ) -> tuple[float, FloatArray, FloatArray]:
         """Energy of the areas at the minimum for the goal (2 k, 3), the multipliers, and the next goal."""
-        pull = self._inverse @ (goal - drift)
+        pull = self._inverse @ (goal - drift) + self._rise.T @ (self._rise @ (goal - drift))
         gradients = goal - pull / self.areas.weights[:, None]
         projected = project(gradients, ratios)
         elastic = float(np.vdot(pull, goal - drift)) - float(np.vdot(pull, pull / self.areas.weights[:, None]))
         missed = float(np.vdot(self.areas.weights, ((gradients - projected) ** 2).sum(axis=1)))
         return elastic + missed, pull, projected
+
+
+def _regular(matrix: FloatArray, weights: FloatArray) -> FloatArray:
+    """matrix + W^-1, in place."""
+    matrix[np.diag_indices_from(matrix)] += 1 / weights
+    return matrix
+
+
+def _lower(matrix: FloatArray) -> FloatArray:
+    """L with L L^T = matrix."""
+    return np.linalg.cholesky(matrix)
+
+
+def _substitute(lower: FloatArray, rhs: FloatArray, transposed: bool = False) -> FloatArray:
+    """L^-1 rhs or L^-T rhs; neither need have rows."""
+    if not rhs.size:
+        return rhs
+    solution: FloatArray = solve_triangular(lower, rhs, lower=True, trans=int(transposed), check_finite=False)
+    return solution
 
 
 def _status(energy: float, status: Status) -> Status:

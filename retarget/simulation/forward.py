@@ -32,6 +32,8 @@ from retarget.simulation.state import Bones, HeadState
 from retarget.simulation.tetrahedra import rest_shape
 from retarget.types import FloatArray, IntArray, SolveInfo, Status
 
+ACCEPTED = 0.1  # mm: deeper lips are not resolved
+
 
 @dataclass(frozen=True)
 class ForwardSettings:
@@ -64,7 +66,7 @@ class LipReport:
     """What became of lip collisions."""
 
     before: float = 0.0  # mm, deepest contact of the first run
-    after: float = 0.0  # mm, deepest contact left
+    after: float = 0.0  # mm, how deep the lips still are in each other, by `Lips.depth` as well
     contacts: int = 0  # skin points held
     rounds: int = 0  # further runs
 
@@ -191,8 +193,8 @@ class ForwardSimulation:
             self._soft[key] = SoftSystem(self._system, fixed, SoftRows.stack([areas], count))
         return self._soft[key]
 
-    def _solve(self, soft: SoftSystem, problem: SoftProblem) -> CondensedSolution:
-        return soft.solve(problem, self.settings.area_iterations, self.settings.area_tolerance)
+    def _solve(self, soft: SoftSystem, problem: SoftProblem, start: FloatArray | None = None) -> CondensedSolution:
+        return soft.solve(problem, self.settings.area_iterations, self.settings.area_tolerance, start)
 
     def _resolve(
         self, lips: Lips, soft: SoftSystem, problem: SoftProblem, solution: CondensedSolution
@@ -216,11 +218,14 @@ class ForwardSimulation:
             points = self._terms.place[held.contacts.points]
             system.require(points)
             weight = rules.collision_stiffness / system.compliance[points, points].mean()
-            rows = SoftRows(operator[:, self._terms.skin], np.full(len(goals), weight))
-            fixed = SoftRows.stack([soft.fixed, rows], len(self._offset))
+            contacts = SoftRows(operator[:, self._terms.skin], np.full(len(goals), weight))
+            rows = SoftRows.stack([contacts], len(self._offset))
             targets = np.vstack([problem.targets, goals])
-            solution = self._solve(SoftSystem(self._system, fixed, soft.areas), replace(problem, targets=targets))
-        return solution, LipReport(deepest[0], deepest[-1], held.contacts.count, len(deepest) - 1)
+            solution = self._solve(soft.with_fixed(rows), replace(problem, targets=targets), solution.goal)
+        after = max(deepest[-1], lips.depth(skin))
+        if after > ACCEPTED and solution.status is Status.CONVERGED:
+            solution = replace(solution, status=Status.MAX_ITERATIONS)
+        return solution, LipReport(deepest[0], after, held.contacts.count, len(deepest) - 1)
 
     def _state(
         self, moved: FloatArray, wanted: FloatArray, bones: Bones, solution: CondensedSolution, lips: LipReport
@@ -234,7 +239,7 @@ class ForwardSimulation:
         free = tissue - float(np.vdot(solution.forces, self._system.shifts(solution.forces)))  # of x0
         energy = tuple(free + e for e in solution.energy)
         message = ""
-        if lips.rounds:
+        if lips.rounds or lips.after > ACCEPTED:
             message = f"lips: {lips.contacts} contacts up to {lips.before:.2f} mm deep, {lips.after:.2f} mm left"
         skin = head.template.embedding @ moved + head.residual
         info = SolveInfo(solution.status, max(len(energy) - 1, 1), energy, message)
