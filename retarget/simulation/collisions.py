@@ -9,7 +9,6 @@ import scipy.sparse as sp
 from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import cKDTree
 
 from retarget.check import InvalidInput
 from retarget.geometry.graph import vertex_adjacency
@@ -19,7 +18,6 @@ from retarget.types import FloatArray, IntArray, Regions
 TRIGGER = 0.05  # mm: shallower contacts are left alone
 DEEP = 1.0  # mm: what lies deeper at rest is in no contact but folded, and no candidate
 REACH = 10.0  # mm: how far the inner sides of the lips count as lips
-SLICES, PATCH = 10, 16
 
 
 @dataclass(frozen=True)
@@ -130,7 +128,6 @@ class Lips:
         upper, lower = _with_inner_sides(rest, faces, sets[0], sets[1], regions.vertices.get("head"))
         corners = np.intersect1d(sets[0], sets[1])
         self.vertices: IntArray = np.union1d(upper, lower)
-        self.patches = _patches(rest, upper, lower)  # of neighbours that tend to meet together
         self.upper_faces = np.ascontiguousarray(faces[np.isin(faces, upper).all(axis=1)])  # (u, 3)
         self.lower_faces = np.ascontiguousarray(faces[np.isin(faces, lower).all(axis=1)])  # (l, 3)
         self._upper, self._lower = (np.setdiff1d(part, corners) for part in sets)
@@ -174,20 +171,6 @@ def _with_inner_sides(
         np.union1d(upper, np.flatnonzero(hidden & (to_upper < 0.5 * to_lower))),
         np.union1d(lower, np.flatnonzero(hidden & (to_lower < 0.5 * to_upper))),
     )
-
-
-def _patches(rest: FloatArray, upper: IntArray, lower: IntArray) -> list[IntArray]:
-    """The vertices of both lips in sets of up to PATCH: slices from corner to corner, each cut by the distance to the
-    other lip."""
-    distance = np.full(len(rest), np.inf)
-    for mine, other in ((upper, lower), (lower, upper)):
-        distance[mine] = np.minimum(distance[mine], cKDTree(rest[other]).query(rest[mine])[0])
-    both = np.union1d(upper, lower)
-    patches = []
-    for part in np.array_split(both[np.argsort(rest[both, 0], kind="stable")], SLICES):
-        outwards = part[np.argsort(distance[part], kind="stable")]
-        patches += [outwards[i : i + PATCH] for i in range(0, len(part), PATCH)]
-    return patches
 
 
 @njit(cache=True)

@@ -24,57 +24,41 @@ import scipy.sparse as sp
 from scipy.linalg import solve_triangular
 
 from retarget.simulation.area_terms import project
-from retarget.simulation.factor import Factor
+from retarget.simulation.dissection import DissectionFactor
+from retarget.simulation.factor import Factor, factorise
 from retarget.simulation.projective_dynamics import Anderson
-from retarget.types import FloatArray, IntArray, Status
-
-BLOCK = 48  # right-hand sides per solve while the compliance is made
+from retarget.types import FloatArray, Status
 
 
 class CondensedSystem:
-    """The factor of A (n, n) and the compliance K (m, m) of points C (m, n).
+    """The factor of A (n, n) and the compliance K (m, m) of points C (m, n)."""
 
-    Rows of K are made when they are first needed, in `blocks` that do not depend on what was needed before, so the
-    same question has the same answer to the bit. compliance[i] is valid where known[i].
-    """
+    def __init__(self, factor: Factor, points: sp.csr_array, compliance: FloatArray) -> None:
+        self.factor, self.points, self.compliance = factor, points, compliance
 
-    def __init__(self, factor: Factor, points: sp.csr_array, blocks: Sequence[IntArray]) -> None:
-        """blocks: sets of points that together hold every point once; the first is made at once."""
-        self.factor, self.points = factor, points
-        m = points.shape[0]
-        self.compliance = np.empty((m, m))
-        self.known = np.zeros(m, dtype=bool)
-        self._blocks = list(blocks)
-        self._block_of = np.empty(m, dtype=np.int64)
-        for number, block in enumerate(blocks):
-            self._block_of[block] = number
-        self.require(blocks[0])
-
-    def require(self, points: IntArray) -> None:
-        """Make the rows of K of these points, where they are missing."""
-        for number in np.unique(self._block_of[points[~self.known[points]]]):
-            block = self._blocks[number]
-            self.compliance[block] = _responses(self.factor, self.points, self.points[block]).T
-            self.known[block] = True
+    @classmethod
+    def of(cls, matrix: sp.csr_array, points: sp.csr_array, name: str, backend: str) -> CondensedSystem:
+        """Raises NotPositiveDefinite for a matrix that is not."""
+        factor = factorise(matrix, name, backend)
+        if not points.shape[0]:
+            return cls(factor, points, np.empty((0, 0)))
+        dissected = factor if isinstance(factor, DissectionFactor) else DissectionFactor(matrix, name)
+        return cls(factor, points, dissected.compliance(points))
 
     def with_points(self, more: sp.csr_array) -> CondensedSystem:
         """The system with further points (h, n) under the present ones; only their columns are computed."""
-        m, h = self.points.shape[0], more.shape[0]
-        new = CondensedSystem.__new__(CondensedSystem)
-        new.factor, new.points = self.factor, sp.csr_array(sp.vstack([self.points, more]))
-        across = _responses(self.factor, new.points, more)
-        new.compliance = np.block([[self.compliance, across[:m]], [across.T]])
-        new.known = np.concatenate([self.known, np.ones(h, dtype=bool)])
-        new._blocks = [*self._blocks, np.arange(m, m + h)]
-        new._block_of = np.concatenate([self._block_of, np.full(h, len(self._blocks))])
-        return new
+        points, m = sp.csr_array(sp.vstack([self.points, more])), self.points.shape[0]
+        if not more.shape[0]:
+            return self
+        across = points @ self.factor.solve(more.toarray().T)
+        return CondensedSystem(self.factor, points, np.block([[self.compliance, across[:m]], [across.T]]))
 
     def free(self, rhs: FloatArray) -> FloatArray:
         """x0 (n, 3) for b (n, 3): the minimum without soft terms."""
         return self.factor.solve(rhs)
 
     def shifts(self, forces: FloatArray) -> FloatArray:
-        """K f (m, 3): what forces f (m, 3), on points with a known row, move the points by."""
+        """K f (m, 3): what forces f (m, 3) move the points by."""
         pulled = np.flatnonzero(forces.any(axis=1))
         moved: FloatArray = self.compliance[pulled].T @ forces[pulled]
         return moved
@@ -82,15 +66,6 @@ class CondensedSystem:
     def pulled(self, forces: FloatArray) -> FloatArray:
         """A^-1 C^T f (n, 3): what forces f (m, 3) at the points move the vertices by."""
         return self.factor.solve(self.points.T @ forces)
-
-
-def _responses(factor: Factor, rows: sp.csr_array, columns: sp.csr_array) -> FloatArray:
-    """rows A^-1 columns^T (r, c)."""
-    result = np.empty((rows.shape[0], columns.shape[0]))
-    for start in range(0, columns.shape[0], BLOCK):
-        block = slice(start, start + BLOCK)
-        result[:, block] = rows @ factor.solve(columns[block].toarray().T)
-    return result
 
 
 @dataclass(frozen=True)
@@ -141,7 +116,6 @@ class SoftSystem:
 
     def __init__(self, system: CondensedSystem, fixed: SoftRows, areas: SoftRows) -> None:
         self.system, self.fixed, self.areas = system, fixed, areas
-        system.require(np.union1d(fixed.operator.indices, areas.operator.indices))
         from_fixed = fixed.operator @ system.compliance
         self._across = from_fixed @ areas.operator.T
         self._lower = _lower(_regular(from_fixed @ fixed.operator.T, fixed.weights))
@@ -154,7 +128,6 @@ class SoftSystem:
         """The system with more fixed rows under the present ones, at the cost of their number alone."""
         new = copy.copy(self)
         new.fixed = SoftRows.stack([self.fixed, more], self.fixed.operator.shape[1])
-        self.system.require(more.operator.indices)
         from_more = more.operator @ self.system.compliance
         left = _substitute(self._lower, (from_more @ self.fixed.operator.T).T)
         below = _lower(_regular(from_more @ more.operator.T, more.weights) - left.T @ left)

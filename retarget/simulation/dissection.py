@@ -20,6 +20,7 @@ from retarget.types import FloatArray, IntArray
 
 GROUPS = 8  # of subtrees; fixed, so that sums have one order whatever the number of threads
 SPLIT = 4  # subtrees per group at least, to balance their work
+BLOCK = 96  # columns at a time of a compliance
 FUSE = {"contract"}  # no reordering of sums: gathered vectors are slower than scalars here
 
 
@@ -74,6 +75,34 @@ class DissectionFactor:
         solution = np.empty(columns.shape)
         solution[self._order] = x
         return solution.reshape(np.shape(rhs))
+
+    def compliance(self, rows: sp.csr_array) -> FloatArray:
+        """rows A^-1 rows^T (r, r) for sparse rows (r, m).
+
+        Solved for the unknowns in `rows` and their ancestors in the elimination tree alone: no other column of the
+        factor changes what comes back. For the lips of a head these are a third of the factor, and the time a sixth.
+        """
+        place = np.empty(self.size, dtype=np.int64)
+        place[self._order] = np.arange(self.size)
+        reached = np.zeros(self.size, dtype=bool)
+        reached[place[rows.indices]] = True
+        for column in range(self.size):  # the first row below the diagonal is the parent
+            if reached[column] and self._starts[column + 1] > self._starts[column] + 1:
+                reached[self._rows[self._starts[column] + 1]] = True
+        kept = np.flatnonzero(reached)
+        factor = (self._values, self._rows.astype(np.int64), self._starts)
+        lower = sp.csc_array(sp.csc_array(factor, shape=(self.size, self.size))[:, kept][kept])
+        lower.sort_indices()
+        starts, below = lower.indptr.astype(np.int64), lower.indices.astype(np.uint32)
+        inside = (np.cumsum(reached) - 1)[place[rows.indices]]
+        picked = sp.csr_array((rows.data, inside, rows.indptr), shape=(rows.shape[0], len(kept)))
+        result = np.empty((rows.shape[0], rows.shape[0]))
+        for first in range(0, rows.shape[0], BLOCK):
+            x = np.ascontiguousarray(picked[first : first + BLOCK].toarray().T, dtype=self._values.dtype)
+            none = np.zeros((0, len(kept), x.shape[1]), x.dtype)
+            _solve(starts, starts[:-1], below, lower.data, self._pivots[kept], np.zeros(1, np.int64), none, x)
+            result[:, first : first + BLOCK] = picked @ x
+        return result
 
 
 def _nested_dissection(matrix: sp.csr_array) -> IntArray:

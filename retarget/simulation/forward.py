@@ -25,12 +25,11 @@ from retarget.simulation.bones import carry_bones, place_bones
 from retarget.simulation.characteristics import Characteristics
 from retarget.simulation.collisions import Held, Lips
 from retarget.simulation.condensed import CondensedSolution, CondensedSystem, SoftProblem, SoftRows, SoftSystem
-from retarget.simulation.factor import factorise
 from retarget.simulation.gradient_energy import GradientEnergy
 from retarget.simulation.soft_terms import NONE, Goals, Handles, SoftTerms, SoftWeights, handle_points
 from retarget.simulation.state import Bones, HeadState
 from retarget.simulation.tetrahedra import rest_shape
-from retarget.types import FloatArray, IntArray, SolveInfo, Status
+from retarget.types import FloatArray, SolveInfo, Status
 
 ACCEPTED = 0.1  # mm: deeper lips are not resolved
 
@@ -106,19 +105,10 @@ class ForwardSimulation:
 
         matrix = self._tissue.matrix()
         self._from_fixed = matrix[self._free][:, self._fixed]
-        factor = factorise(matrix[self._free][:, self._free], "forward simulation", rules.backend)
-        self._system = self._without_handles = CondensedSystem(factor, self._points[:, self._free], self._blocks())
+        self._system = self._without_handles = CondensedSystem.of(
+            matrix[self._free][:, self._free], self._points[:, self._free], "forward simulation", rules.backend
+        )
         self._soft: dict[tuple[str, ...], SoftSystem] = {}
-
-    def _blocks(self) -> list[IntArray]:
-        """The points of the terms, needed in every frame, then those of the lips, which meet patch by patch."""
-        patches = self._lips.patches if self._lips else []
-        unused = [np.setdiff1d(self._terms.place[patch], self._terms.used) for patch in patches]
-        return [self._terms.used, *(patch for patch in unused if len(patch))]
-
-    def prepare_lips(self) -> None:
-        """Condense to all points of the lips now, not to each patch when it first meets: for even times per frame."""
-        self._system.require(np.arange(len(self._terms.skin)))
 
     def with_handles(self, handles: Handles) -> ForwardSimulation:
         """The same simulation with these handles in place of any others. Nothing is factorised again.
@@ -216,7 +206,6 @@ class ForwardSimulation:
             held = held.renewed(found, skin, push=turn + 2.0)
             operator, goals = held.rows(len(skin))
             points = self._terms.place[held.contacts.points]
-            system.require(points)
             weight = rules.collision_stiffness / system.compliance[points, points].mean()
             contacts = SoftRows(operator[:, self._terms.skin], np.full(len(goals), weight))
             rows = SoftRows.stack([contacts], len(self._offset))

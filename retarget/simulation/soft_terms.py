@@ -70,7 +70,6 @@ class SoftTerms:
         self.place = np.full(len(head.skin), -1)  # of each skin vertex among the points
         self.place[self.skin] = np.arange(len(self.skin))
 
-        self.used = self.place[np.unique(used)]  # points of the terms themselves
         self._rows = {}
         self._kept: dict[str, IntArray] = {}
         self._counts = {"lip_contour": len(contour)} | {term: len(t) for term, t in triangles.items()}

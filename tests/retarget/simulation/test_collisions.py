@@ -8,6 +8,7 @@ from retarget.check import InvalidInput
 from retarget.simulation.bones import pivot
 from retarget.simulation.collisions import TRIGGER, Lips
 from retarget.simulation.forward import ForwardSettings, ForwardSimulation
+from retarget.simulation.penetration import Surface
 from retarget.simulation.state import Bones, RigidMotion
 from retarget.types import Regions, Status
 from tests.retarget.simulation.box_head import GAP, box_head
@@ -76,6 +77,18 @@ def test_lips_that_cross_at_rest_count_where_they_go_deeper():
     assert Lips(deep, faces, regions).contacts(strip(3.0)[0]).count < 15
 
 
+@pytest.mark.parametrize("height", [0.2, 1.5])
+def test_depth_has_no_preferred_direction(height):
+    rest, faces, regions = strip(-1.0)
+    skin = strip(height)[0]
+    assert Lips(rest, faces, regions).depth(skin) == pytest.approx(height)
+    upright = Lips(rest[:, [0, 2, 1]], faces[:, ::-1], regions)
+    assert upright.contacts(skin[:, [0, 2, 1]]).count == 0  # nothing is straight below
+    assert upright.depth(skin[:, [0, 2, 1]]) == pytest.approx(height)
+    assert Lips(skin, faces, regions).depth(skin) == 0
+    assert Lips(skin, faces, regions).depth(strip(height + 0.3)[0]) == pytest.approx(0.3)
+
+
 def test_corners_are_no_candidates(head):
     lips = Lips(head.skin, head.template.faces, head.template.regions)
     lowered = head.skin - np.where(np.isin(np.arange(len(head.skin)), lips._upper), 3.0, 0.0)[:, None] * [0, 1, 0]
@@ -83,6 +96,22 @@ def test_corners_are_no_candidates(head):
     contacts = lips.contacts(lowered)
     assert contacts.count > 20
     assert not np.isin(contacts.points, shared).any()
+
+
+def test_depths_behind_a_surface():
+    """A roof of two planes at right angles over z: distances by hand, along the normal of the nearer plane."""
+    x, z = (a.ravel() for a in np.meshgrid(np.arange(-3.0, 4.0), np.arange(5.0), indexing="ij"))
+    quad = (np.arange(6)[:, None] * 5 + np.arange(4)).ravel()
+    faces = np.concatenate([np.c_[quad, quad + 1, quad + 6], np.c_[quad, quad + 6, quad + 5]])  # facing up
+    points = np.array(
+        [[0, -1.0, 2.1], [1.2, -1.5, 1.3], [-1.2, -1.4, 1.3], [0.3, 0.4, 2.0], [0, -1.0, 4.5], [0, -30, 2]]
+    )
+    skin = np.vstack([np.c_[x, -np.abs(x), z], points])
+    found = Surface(faces, len(skin)).depths(skin, np.arange(len(x), len(skin)))
+    np.testing.assert_allclose(found, [np.sqrt(0.5), 0.3 / np.sqrt(2), 0.2 / np.sqrt(2), 0, 0, 0], atol=1e-12)
+    flipped = Surface(faces[:, ::-1], len(skin)).depths(skin, np.arange(len(x), len(skin)))
+    np.testing.assert_allclose(flipped, [0, 0, 0, 0.5, 0, 0], atol=1e-12)  # nearest to the ridge
+    assert Surface(faces[:0], len(skin)).depths(skin, np.arange(3)).max() == 0
 
 
 def closed(head, lift, degrees=0.0):
@@ -132,6 +161,17 @@ def test_lips_are_parted(head, bones):
 
 def parted_rows(head):
     return np.union1d(head.template.regions.vertices["upper_lip"], head.template.regions.vertices["lower_lip"])
+
+
+def test_what_is_not_resolved_is_said(head):
+    """Lips that are held once only."""
+    gradients = np.broadcast_to(np.eye(3), (len(head.template.tets), 3, 3))
+    state = ForwardSimulation(head, ForwardSettings(collision_rounds=1, collision_stiffness=0.5))(
+        gradients, closed(head, 4.0)
+    )
+    assert state.info.status is Status.MAX_ITERATIONS
+    assert state.lips.after > 0.1
+    assert f"{state.lips.after:.2f} mm left" in state.info.message
 
 
 def test_lips_that_do_not_touch_are_left_alone(head):

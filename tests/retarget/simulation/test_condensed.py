@@ -3,7 +3,6 @@ import pytest
 import scipy.sparse as sp
 
 from retarget.simulation.condensed import CondensedSystem, SoftProblem, SoftRows, SoftSystem
-from retarget.simulation.factor import factorise
 from retarget.types import Status
 from tests.retarget.geometry.test_cholesky import grid_laplacian
 
@@ -16,52 +15,90 @@ def rows(rng, count, points, largest=10.0):
     )
 
 
-def blocks(count):
-    return np.split(np.random.default_rng(5).permutation(count), [count // 3, count // 2])
-
-
 @pytest.fixture(params=[20, 300])
 def system(request):
     """Fewer and more points than vertices that they hang on."""
     rng = np.random.default_rng(0)
     matrix = grid_laplacian(15)
     points = sp.random_array((request.param, N), density=0.02, rng=rng, format="csr")
-    return matrix, CondensedSystem(factorise(matrix), points, blocks(request.param))
+    return matrix, CondensedSystem.of(matrix, points, "grid", "cholespy")
 
 
 def test_the_compliance(system):
     matrix, condensed = system
-    count = condensed.points.shape[0]
     expected = condensed.points @ np.linalg.solve(matrix.toarray(), condensed.points.T.toarray())
-    assert condensed.known.sum() == count // 3
-    for asked in (blocks(count)[2][:1], np.arange(count)):
-        condensed.require(asked)
-        assert condensed.known[asked].all()
-        np.testing.assert_allclose(condensed.compliance[condensed.known], expected[condensed.known], atol=1e-9)
-    forces = np.random.default_rng(3).normal(size=(count, 3))
+    np.testing.assert_allclose(condensed.compliance, expected, atol=1e-9)
+    forces = np.random.default_rng(3).normal(size=(len(expected), 3))
     np.testing.assert_allclose(condensed.shifts(forces), expected @ forces, atol=1e-7)
 
 
-def test_rows_are_the_same_in_whatever_order_they_were_asked_for(system):
-    _, condensed = system
-    count = condensed.points.shape[0]
-    other = CondensedSystem(condensed.factor, condensed.points, blocks(count))
-    for asked in range(count):
-        condensed.require(np.array([asked]))
-        other.require(np.array([count - 1 - asked]))
-    np.testing.assert_array_equal(condensed.compliance, other.compliance)
-
-
 def test_more_points_extend_it(system):
-    _, condensed = system
+    matrix, condensed = system
     more = sp.random_array((7, N), density=0.05, rng=np.random.default_rng(1), format="csr")
-    extended = condensed.with_points(more)
-    count = condensed.points.shape[0]
-    whole = CondensedSystem(condensed.factor, sp.csr_array(sp.vstack([condensed.points, more])), [np.arange(count + 7)])
-    assert extended.known.sum() == condensed.known.sum() + 7
-    extended.require(np.arange(count + 7))
-    np.testing.assert_allclose(extended.compliance, whole.compliance, atol=1e-9)
-    np.testing.assert_array_equal(condensed.known[:count].sum(), count // 3)
+    whole = CondensedSystem.of(matrix, sp.csr_array(sp.vstack([condensed.points, more])), "grid", "dissection")
+    np.testing.assert_allclose(condensed.with_points(more).compliance, whole.compliance, atol=1e-9)
+    np.testing.assert_array_equal(condensed.with_points(more[:0]).compliance, condensed.compliance)
+
+
+class Areas:
+    """A system with fixed rows and rows of triangles, whose ratios none of them has without force."""
+
+    def __init__(self):
+        rng = np.random.default_rng(4)
+        points = sp.random_array((30, N), density=0.05, rng=rng, format="csr")
+        self.condensed = CondensedSystem.of(grid_laplacian(15), points, "grid", "cholespy")
+        self.fixed, self.more, self.last, self.areas = (rows(rng, count, 30) for count in (5, 4, 3, 16))
+        self.soft = SoftSystem(self.condensed, self.fixed, self.areas)
+        targets, ratios = rng.normal(size=(12, 3)), rng.uniform(0.5, 2.0, 8)
+        self.problem = SoftProblem(rng.normal(size=(30, 3)), targets, ratios)
+
+    def whole(self):
+        return SoftSystem(self.condensed, SoftRows.stack([self.fixed, self.more, self.last], 30), self.areas)
+
+
+def test_rows_added_later_are_rows_like_others():
+    case = Areas()
+    added = case.soft.with_fixed(case.more).with_fixed(case.last).solve(case.problem, 500, 1e-10)
+    whole = case.whole().solve(case.problem, 500, 1e-10)
+    assert whole.status is added.status is Status.CONVERGED
+    assert len(whole.energy) > 5
+    np.testing.assert_allclose(added.energy, whole.energy, rtol=1e-9)
+    np.testing.assert_allclose(added.forces, whole.forces, atol=1e-8)
+    before = SoftSystem(case.condensed, case.fixed, case.areas)
+    np.testing.assert_array_equal(case.soft._inverse, before._inverse)  # the first system stays as it was
+    np.testing.assert_array_equal(case.soft.fixed.weights, before.fixed.weights)
+
+
+def test_a_start_close_by_saves_iterations():
+    case = Areas()
+    cold = case.whole().solve(case.problem, 500, 1e-8)
+    warm = case.whole().solve(case.problem, 500, 1e-8, cold.goal)
+    assert len(warm.energy) <= 2 < len(cold.energy)
+    np.testing.assert_allclose(warm.forces, cold.forces, atol=1e-6)
+
+
+class Scaled:
+    """An acceleration that takes so much of each plain step: what is negative ascends."""
+
+    def __init__(self, share):
+        self.share = share
+
+    def __call__(self, goal, residual):
+        return residual if self.share == 1 else self.share * residual
+
+    def restart(self):
+        pass
+
+
+def test_steps_that_ascend_are_replaced_by_plain_ones(monkeypatch):
+    case, found = Areas(), []
+    for share in (1.0, -1.0):
+        monkeypatch.setattr("retarget.simulation.condensed.Anderson", lambda depth, share=share: Scaled(share))
+        found.append(case.whole().solve(case.problem, 2000, 1e-6))
+        assert found[-1].status is Status.CONVERGED
+        assert (np.diff(found[-1].energy) < 0).all()
+    assert len(found[0].energy) > 20
+    np.testing.assert_array_equal(found[1].forces, found[0].forces)
 
 
 def test_the_solution_is_that_of_the_full_system(system):

@@ -325,13 +325,6 @@ def test_what_overflows_fails_without_nan(head, forward):
     np.testing.assert_array_equal(state.gradients, np.broadcast_to(np.eye(3), state.gradients.shape))
 
 
-def test_lips_can_be_prepared(head):
-    forward = ForwardSimulation(head)
-    assert not forward._system.known.all()
-    forward.prepare_lips()
-    assert forward._system.known.all()
-
-
 def test_too_few_iterations_are_reported(head):
     vertices, bones = moved(head)
     forward = ForwardSimulation(head, replace(CALM, area_iterations=2))
