@@ -7,11 +7,12 @@ from retarget.anatomy.head import Head
 from retarget.check import InvalidInput
 from retarget.simulation.inverse import InverseSettings, InverseSimulation
 from retarget.simulation.materials import region_stiffness, weight_change
-from retarget.simulation.projective_dynamics import SolverSettings
+from retarget.simulation.projections import closest_rotation, closest_unit_determinant
+from retarget.simulation.projective_dynamics import Equilibrium, SolverSettings
 from retarget.simulation.soft_terms import Handles
 from retarget.simulation.surface import carried_by_skin, vertex_areas
 from retarget.simulation.tetrahedra import deformation_gradients
-from retarget.types import Status
+from retarget.types import SolveInfo, Status
 from tests.retarget.simulation.box_head import box_head, box_template
 
 EXACT = SolverSettings(max_iterations=500, energy_tolerance=1e-12, step_tolerance=1e-8, single_precision=False)
@@ -125,6 +126,94 @@ def test_a_solved_neighbour_is_a_start(head, exact):
     again = exact(wanted, near=first)
     np.testing.assert_allclose(again.vertices, first.vertices, atol=1e-5)
     assert again.info.energy[0] < 1.5 * first.info.energy[-1]
+
+
+def test_the_result_is_stationary_for_the_equations_written_out():
+    """Eqs (11) to (14), handles and weight, all with weights of their own: the gradient at the result vanishes.
+
+    The skin is warped to triangles of many sizes, so that weight by area is not weight by vertex.
+    """
+    template = box_template()
+    warped = template.vertices * [1.0, 1.0, 0.9] + [0, 3.0, 0] * np.sin(template.vertices / 9.0)
+    residual = 0.2 * np.cos(template.skin)
+    head = Head(template, template.embedding @ warped + residual, warped, box_head().condyles, {})
+    stiffness = region_stiffness(head, {"upper_lip": 4.0, "jaw_skin": 0.5})
+    settings = InverseSettings(w_soft=2.0, w_muscle=3.0, w_target=20.0, muscle_strain=0.1, solver=EXACT)
+    handles = Handles(skin=np.array([5, 90]), vertices=np.array([700]), weights=np.array([3e3, 5e3, 7e3]))
+    held = np.vstack([head.skin[handles.skin], head.vertices[handles.vertices]]) + np.array([0.5, -0.3, 1.0])
+    gravity = np.array([0.001, -0.002, 0.003])
+    simulation = InverseSimulation(head, settings, stiffness, handles)
+    wanted = cheek(head)
+    state = simulation(wanted, handles=held, gravity=gravity)
+
+    shapes = warped, state.vertices
+    rest, now = (np.swapaxes((x[template.tets] - x[template.tets[:, :1]])[:, 1:], 1, 2) for x in shapes)
+    volumes, inverse = np.linalg.det(rest) / 6000.0, np.linalg.inv(rest)  # cm^3
+    f = now @ inverse
+    volume = np.where(template.muscle, 3.0, 2.0) * volumes * stiffness
+    strain = np.where(template.muscle, 0.1 * 3.0, 2.0) * volumes * stiffness
+    stress = strain[:, None, None] * (f - closest_rotation(f)) + volume[:, None, None] * (
+        f - closest_unit_determinant(f)
+    )
+    hats = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
+    gradient = np.zeros_like(head.vertices)
+    np.add.at(gradient, template.tets, 2 * hats @ np.swapaxes(stress, 1, 2))
+
+    unit = volumes.sum() / 234_049
+    corners = head.skin[template.faces]
+    sizes = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    area = np.zeros(len(head.skin))
+    np.add.at(area, template.faces, sizes[:, None] / 3)
+    pull = 20.0 * 29_826 * unit * area / area.sum() / 100.0
+    assert area.max() > 3 * area.min()
+    gradient += 2 * template.embedding.T @ (pull[:, None] * (state.skin - wanted))
+    there = np.vstack([state.skin[handles.skin], state.vertices[handles.vertices]])
+    on_handles = 2 * (handles.weights * unit / 100.0)[:, None] * (there - held)
+    gradient += template.embedding[handles.skin].T @ on_handles[:2]
+    gradient[handles.vertices] += on_handles[2:]
+    weight = np.zeros(len(head.vertices))
+    np.add.at(weight, template.tets, volumes[:, None] / 4)
+    gradient -= weight[:, None] * gravity
+
+    free = np.setdiff1d(np.arange(len(gradient)), template.fixed)
+    assert not np.isin(handles.vertices, template.fixed).any()
+    least = min(np.abs(on_handles).min(), np.abs(weight[:, None] * gravity).max())
+    assert np.abs(gradient[free]).max() < 1e-4 * least
+
+
+def test_a_neighbour_is_carried_to_the_new_expression(head, exact):
+    """The start extends what changed since the neighbour: its energy is near the minimum, that of staying is not."""
+    first, wanted = exact(cheek(head, 2.0)), cheek(head, 3.0)
+    found = exact(wanted, near=first)
+    stay = exact.solver.energy_and_descent(first.vertices, wanted - head.residual)[0]
+    start, end = found.info.energy[0], found.info.energy[-1]
+    assert start - end < 0.05 * (stay - end)
+
+
+def test_a_stream_recognises_what_it_has_seen(head, exact):
+    """Expressions that are affine combinations of known ones are predicted exactly where the tissue has solved them."""
+    skins = np.stack([cheek(head), jaw_drop(head, 4.0), cheek(head)])
+    states = list(exact.stream(skins))
+    assert states[2].info.energy[0] == pytest.approx(states[0].info.energy[-1], rel=1e-6)
+
+
+def test_a_stream_forgets_a_solve_that_failed(head, monkeypatch):
+    simulation = InverseSimulation(head)
+    skins = expressions(head, 3)
+    without = list(simulation.stream(skins[[0, 2]]))
+    solve, calls = simulation.solver.solve_many, []
+
+    def second_fails(problems):
+        calls.append(len(problems))
+        if len(calls) == 2:
+            return [Equilibrium(head.vertices.copy(), SolveInfo(Status.FAILED, 0, (), "made up"), (), 0)]
+        return solve(problems)
+
+    monkeypatch.setattr(simulation.solver, "solve_many", second_fails)
+    states = list(simulation.stream(skins))
+    assert states[1].info.status is Status.FAILED
+    np.testing.assert_array_equal(states[1].skin, head.skin)
+    np.testing.assert_array_equal(states[2].vertices, without[1].vertices)
 
 
 def test_the_hard_surface_moves_with_the_skin(head):

@@ -7,15 +7,16 @@ import scipy.sparse as sp
 
 from retarget.check import InvalidInput
 from retarget.geometry.cholesky import NotPositiveDefinite
+from retarget.simulation import projective_dynamics
 from retarget.simulation.anderson import Anderson
-from retarget.simulation.projections import unit_product
+from retarget.simulation.projections import closest_rotation, closest_unit_determinant, unit_product
 from retarget.simulation.projective_dynamics import (
     ProjectiveDynamics,
     SolverSettings,
     TissueWeights,
     tissue_weights,
 )
-from retarget.simulation.tetrahedra import rest_shape
+from retarget.simulation.tetrahedra import deformation_gradients, gradient_operator, rest_shape
 from retarget.types import Status
 from tests.retarget.simulation.box import box
 
@@ -74,6 +75,57 @@ def test_acceleration_finds_the_same_minimum_in_fewer_iterations(slab):
     results = [solver(slab, dataclasses.replace(EXACT, anderson_depth=d)).solve(bulge(skin)) for d in (0, 5)]
     np.testing.assert_allclose(results[0].vertices, results[1].vertices, atol=1e-4)
     assert results[1].info.iterations < 0.5 * results[0].info.iterations
+
+
+def test_a_plain_iteration_solves_for_the_closest_matrices(slab):
+    """Its vertices minimise the energy with R, D and s held: least squares, assembled here without the solver."""
+    shape, muscle, skull, operator, skin = slab
+    weights, wanted = tissue_weights(shape, muscle), bulge(skin, 6.0)
+    start = shape.vertices + 0.3 * np.random.default_rng(0).normal(size=shape.vertices.shape)
+    start[skull] = shape.vertices[skull]
+    settings = dataclasses.replace(EXACT, max_iterations=1, anderson_depth=0)
+    result = solver(slab, settings).solve(wanted, start=start)
+
+    gradients = deformation_gradients(shape, start)
+    rows, right = [np.sqrt(100.0 / 10**2) * operator], [np.sqrt(100.0 / 10**2) * wanted]
+    for weight, closest in (
+        (weights.strain, closest_rotation(gradients)),
+        (weights.volume, closest_unit_determinant(gradients)),
+    ):
+        root = np.repeat(np.sqrt(weight), 3)[:, None]
+        rows.append(gradient_operator(shape).multiply(root))
+        right.append(root * np.swapaxes(closest, 1, 2).reshape(-1, 3))
+    matrix = sp.csr_array(sp.vstack(rows))
+    free = np.setdiff1d(np.arange(len(start)), skull)
+    known = np.vstack(right) - matrix[:, skull] @ shape.vertices[skull]
+    expected = np.linalg.lstsq(matrix[:, free].toarray(), known, rcond=None)[0]
+    np.testing.assert_allclose(result.vertices[free], expected, atol=1e-7)
+
+
+@pytest.mark.parametrize("poison", [lambda step: -3 * step, lambda step: 50 * step, lambda step: np.nan * step])
+def test_a_proposal_that_ascends_gives_way_to_the_plain_iterate(slab, monkeypatch, poison):
+    """Whatever acceleration proposes, the solve takes the path of plain projective dynamics, and says so."""
+
+    class Poisoned:
+        restarts = 0
+
+        def __init__(self, depth):
+            pass
+
+        def __call__(self, state, residual):
+            return poison(residual)
+
+        def restart(self):
+            Poisoned.restarts += 1
+
+    *_, skin = slab
+    settings = dataclasses.replace(EXACT, max_iterations=6)
+    plain = solver(slab, dataclasses.replace(settings, anderson_depth=0)).solve(bulge(skin))
+    monkeypatch.setattr(projective_dynamics, "Anderson", Poisoned)
+    guarded = solver(slab, settings).solve(bulge(skin))
+    assert guarded.info == plain.info
+    np.testing.assert_array_equal(guarded.vertices, plain.vertices)
+    assert Poisoned.restarts == 6
 
 
 def test_the_minimum_is_stationary(slab):
