@@ -211,7 +211,7 @@ def _regular(matrix: FloatArray, weights: FloatArray) -> FloatArray:
 
 def _lower(matrix: FloatArray) -> FloatArray:
     """L with L L^T = matrix."""
-    return np.linalg.cholesky(matrix)
+    return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
 
 
 def _substitute(lower: FloatArray, rhs: FloatArray, transposed: bool = False) -> FloatArray:

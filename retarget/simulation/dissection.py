@@ -126,12 +126,16 @@ def _grouped(lower: sp.csc_array) -> tuple[IntArray, IntArray]:
     work = np.append(counts, 0)
     for column, parent in enumerate(parents):
         work[parent] += work[column]
-    children = np.split(np.argsort(parents, kind="stable"), np.cumsum(np.bincount(parents, minlength=size + 1))[:-1])
+    by_parent = np.argsort(parents, kind="stable")
+    ends = np.searchsorted(parents[by_parent], np.arange(size + 2))
 
-    roots = [(-int(work[c]), int(c)) for c in children[size]]  # split the heaviest until the work can be shared out
+    def children(column: int) -> IntArray:
+        return by_parent[ends[column] : ends[column + 1]]
+
+    roots = [(-int(work[c]), int(c)) for c in children(size)]  # split the heaviest until the work can be shared out
     heapq.heapify(roots)
-    while roots and (len(roots) < SPLIT * GROUPS or -roots[0][0] * GROUPS > work[size]) and len(children[roots[0][1]]):
-        for child in children[heapq.heappop(roots)[1]]:
+    while roots and (len(roots) < SPLIT * GROUPS or -roots[0][0] * GROUPS > work[size]) and len(children(roots[0][1])):
+        for child in children(heapq.heappop(roots)[1]):
             heapq.heappush(roots, (-int(work[child]), int(child)))
     group = np.full(size + 1, GROUPS)  # GROUPS marks the top
     load = [0] * GROUPS

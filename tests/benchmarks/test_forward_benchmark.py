@@ -55,8 +55,7 @@ def block() -> Block:
 @pytest.mark.benchmark(group=GROUP)
 def test_set_up(benchmark, block):
     forward = benchmark.pedantic(ForwardSimulation, (block.head,), rounds=2)
-    benchmark.extra_info["points"] = len(forward._system.known)
-    benchmark.extra_info["made_at_once"] = int(forward._system.known.sum())
+    benchmark.extra_info["points"] = len(forward._system.compliance)
     benchmark.extra_info["compliance_mib"] = forward._system.compliance.nbytes / 2**20
 
 
@@ -81,6 +80,12 @@ def test_frame_with_lip_collisions(benchmark, block):
 
 
 @pytest.mark.benchmark(group=GROUP)
+def test_lip_depth(benchmark, block):
+    skin = block.heedless(block.still, block.crossed).skin
+    assert benchmark.pedantic(block.forward._lips.depth, (skin,), rounds=30, warmup_rounds=2) > 0.1
+
+
+@pytest.mark.benchmark(group=GROUP)
 def test_lip_detection(benchmark, block):
     skin = block.heedless(block.still, block.crossed).skin
     contacts = benchmark.pedantic(block.forward._lips.contacts, (skin,), rounds=30, warmup_rounds=2)
@@ -95,7 +100,6 @@ class Contact:
         free = block.heedless(block.still, block.crossed)
         held = Held.none().renewed(forward._lips.contacts(free.skin), free.skin, 1.0)
         self.onto_skin, self.goals = held.rows(len(block.head.skin))
-        forward._system.require(np.arange(len(forward._terms.skin)))
         self.weight = 10 / np.mean(np.diag(forward._system.compliance))
         self.points = forward._terms.points @ free.vertices + forward._terms.offset
         self.free = free.vertices
@@ -108,13 +112,14 @@ def contact(block):
 
 @pytest.mark.benchmark(group="one more collision set, 236,544 tets")
 def test_collision_set(benchmark, block, contact):
-    """The dense system for the set, its solution, and the back-substitution to all vertices."""
+    """The dense system extended by the set, its solution, and the back-substitution to all vertices."""
     system, terms = block.forward._system, block.forward._terms
+    none = SoftRows.stack([], len(terms.skin))
+    calm = SoftSystem(system, none, none)
 
     def resolve() -> FloatArray:
         rows = SoftRows(contact.onto_skin[:, terms.skin], np.full(len(contact.goals), contact.weight))
-        soft = SoftSystem(system, rows, SoftRows.stack([], len(terms.skin)))
-        solution = soft.solve(SoftProblem(contact.points, contact.goals, np.empty(0)))
+        solution = calm.with_fixed(rows).solve(SoftProblem(contact.points, contact.goals, np.empty(0)))
         return contact.free[block.forward._free] + system.pulled(solution.forces)
 
     found = benchmark.pedantic(resolve, rounds=20, warmup_rounds=2)

@@ -114,6 +114,25 @@ def test_depths_behind_a_surface():
     assert Surface(faces[:0], len(skin)).depths(skin, np.arange(3)).max() == 0
 
 
+def test_depths_behind_a_wavy_sheet():
+    """Against vtk's nearest cells."""
+    x, z = (a.ravel() for a in np.meshgrid(np.linspace(-20, 20, 41), np.linspace(-20, 20, 41), indexing="ij"))
+    quad = (np.arange(40)[:, None] * 41 + np.arange(40)).ravel()
+    faces = np.concatenate([np.c_[quad, quad + 1, quad + 42], np.c_[quad, quad + 42, quad + 41]])
+    sheet = np.c_[x, 2 * np.sin(x / 5) * np.cos(z / 6), z]
+    rng = np.random.default_rng(0)
+    points = np.c_[rng.uniform(-12, 12, 300), rng.uniform(-7, 7, 300), rng.uniform(-12, 12, 300)]
+    skin = np.vstack([sheet, points])
+    found = Surface(faces, len(skin)).depths(skin, np.arange(len(sheet), len(skin)))
+    _, nearest = pv.PolyData.from_regular_faces(sheet, faces).find_closest_cell(points, return_closest_point=True)
+    behind = points[:, 1] < 2 * np.sin(points[:, 0] / 5) * np.cos(points[:, 2] / 6) - 0.1
+    distance = np.linalg.norm(nearest - points, axis=1)
+    assert 50 < behind.sum() < 250
+    np.testing.assert_allclose(found[behind], distance[behind], atol=1e-6)
+    above = points[:, 1] > 2 * np.sin(points[:, 0] / 5) * np.cos(points[:, 2] / 6) + 0.1
+    assert found[above].max() == 0
+
+
 def closed(head, lift, degrees=0.0):
     still = RigidMotion(np.eye(3), np.zeros(3), pivot(head))
     return Bones(still, RigidMotion(turn("x", -degrees), np.array([0, lift, 0.0]), pivot(head)))
