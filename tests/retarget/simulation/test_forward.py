@@ -15,11 +15,12 @@ from retarget.simulation.bones import fit_bones, pivot, size_ratio
 from retarget.simulation.characteristics import EYE_OPENINGS, EYE_SOCKETS, Characteristics, FacialCharacteristics
 from retarget.simulation.collisions import Held
 from retarget.simulation.forward import ForwardSettings, ForwardSimulation
+from retarget.simulation.gradient_energy import GradientEnergy
 from retarget.simulation.materials import region_stiffness, weight_change
 from retarget.simulation.projections import closest_area
 from retarget.simulation.soft_terms import Handles
 from retarget.simulation.state import Bones, RigidMotion
-from retarget.simulation.tetrahedra import deformation_gradients, gradient_operator
+from retarget.simulation.tetrahedra import deformation_gradients, gradient_operator, rest_shape
 from retarget.types import Pair, Regions, Status
 from tests.retarget.simulation.box import box
 from tests.retarget.simulation.box_head import box_head
@@ -323,6 +324,21 @@ def test_what_overflows_fails_without_nan(head, forward):
     assert state.info.status is Status.FAILED
     np.testing.assert_array_equal(state.skin, head.skin)
     np.testing.assert_array_equal(state.gradients, np.broadcast_to(np.eye(3), state.gradients.shape))
+
+
+def test_the_kernels_are_the_gradient_matrix(head):
+    """At every vertex, also those that bones hold."""
+    rng = np.random.default_rng(8)
+    shape = rest_shape(head.vertices, head.template.tets)
+    weights, wanted = rng.uniform(0.5, 2.0, len(shape.tets)), rng.normal(size=(len(shape.tets), 3, 3))
+    energy, gradient = GradientEnergy(shape, weights), gradient_operator(shape).toarray()
+    rows = wanted.transpose(0, 2, 1).reshape(-1, 3)  # of the transposed gradients
+    weighted = np.repeat(weights, 3)[:, None]
+    np.testing.assert_allclose(energy.divergence(wanted), gradient.T @ (weighted * rows), atol=1e-10)
+    x = head.vertices + rng.normal(size=head.vertices.shape)
+    value, found = energy(x, wanted)
+    np.testing.assert_allclose(found.transpose(0, 2, 1).reshape(-1, 3), gradient @ x, atol=1e-10)
+    assert value == pytest.approx((weighted * (gradient @ x - rows) ** 2).sum())
 
 
 def test_too_few_iterations_are_reported(head):
