@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -12,10 +14,17 @@ _PAIRS = 2_000_000  # candidate pairs tested at once, bounds the memory
 
 
 def cap(name: str, vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
-    """Close each boundary loop of (n, 3), (f, 3) by a fan about its mean, which becomes a new vertex at the end.
+    """Close the neck, the one boundary loop of (n, 3), (f, 3), by a fan about its mean, a new vertex at the end.
 
-    Raises InvalidInput for an edge of three triangles, or for loops that touch.
+    Raises InvalidInput for further holes, vertices without a triangle, an edge of three triangles, triangles of
+    different orientation, or loops that touch.
     """
+    loose = np.setdiff1d(np.arange(len(vertices)), faces)
+    if len(loose):
+        raise InvalidInput(
+            f"{name}: expected a triangle at every vertex, got none at {len(loose)} of {len(vertices)}, the first is "
+            f"vertex {loose[0]}; remove them, and close the hole that they may mark."
+        )
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     low, high = np.sort(edges, axis=1).T
     keys, uses = np.unique(low * len(vertices) + high, return_counts=True)
@@ -33,6 +42,24 @@ def cap(name: str, vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, I
         if b in following:
             raise InvalidInput(f"{name}: expected separate boundary loops, got two that meet at vertex {b}; close one.")
         following[b] = a
+    loops = list(_loops(following))
+    if not loops:
+        return vertices, faces
+    lengths = [float(np.linalg.norm(np.diff(vertices[[*loop, loop[0]]], axis=0), axis=1).sum()) for loop in loops]
+    neck = loops.pop(int(np.argmax(lengths)))
+    if loops:
+        where = np.round(vertices[loops[0]].mean(axis=0), 1).tolist()
+        raise InvalidInput(
+            f"{name}: expected one opening, the neck, got {len(loops)} more, the first of {len(loops[0])} edges near "
+            f"{where} mm; fill the holes."
+        )
+    vertices = np.vstack([vertices, vertices[neck].mean(axis=0)])
+    fan = np.column_stack([neck, np.roll(neck, -1), np.full(len(neck), len(vertices) - 1)])
+    return vertices, np.vstack([faces, fan])
+
+
+def _loops(following: dict[int, int]) -> Iterator[list[int]]:
+    """The cycles of a permutation, each as a list."""
     while following:
         first, second = next(iter(following.items()))
         loop = [first]
@@ -40,11 +67,7 @@ def cap(name: str, vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, I
         while second != first:
             loop.append(second)
             second = following.pop(second)
-        centre = len(vertices)
-        vertices = np.vstack([vertices, vertices[loop].mean(axis=0)])
-        fan = np.column_stack([loop, np.roll(loop, -1), np.full(len(loop), centre)])
-        faces = np.vstack([faces, fan])
-    return vertices, faces
+        yield loop
 
 
 def euler_number(faces: IntArray) -> int:
@@ -60,8 +83,8 @@ def check_closed(name: str, vertices: FloatArray, faces: IntArray) -> None:
     _, uses = np.unique(edges, axis=0, return_counts=True)
     if (uses != 2).any():
         raise InvalidInput(
-            f"{name}: expected a closed surface, got {int((uses != 2).sum())} edges without two triangles; close the "
-            "holes (the neck is closed by itself, other openings are not)."
+            f"{name}: expected a closed surface, got {int((uses != 2).sum())} edges without two triangles; close "
+            "the holes (the neck is closed by itself, other openings are not)."
         )
     number = euler_number(faces)
     if number != 2:

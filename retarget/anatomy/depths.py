@@ -83,10 +83,27 @@ def depths_with_room(
 
     Where a cavity is nearer to a landmark than the bone and `behind` mm more, as behind the lips, the true bone (teeth
     and alveoli) lies inside the cavity of the mesh, so it is no part of this head and the landmark carries no depth.
+    Raises InvalidInput for an unknown landmark, a depth outside (0, 24] mm, or if no landmark has room.
     """
+    unknown = [name for name in depths if name not in regions.landmarks]
+    if unknown:
+        raise InvalidInput(
+            f"depths: expected names of landmarks, got {unknown[0]!r}, which this topology has not; add the landmark "
+            "or leave out its depth."
+        )
+    if not depths or not all(0 < depth <= LARGEST for depth in depths.values()):
+        raise InvalidInput(
+            f"depths: expected some, in (0, {LARGEST:g}] mm, got {sorted(depths.values()) or 'none'}; are they in mm?"
+        )
     marks = vertices[[regions.landmarks[name] for name in depths]]
     room = distance_to((vertices, cavity_faces(faces, regions, len(vertices))), marks)
-    return {name: depth for (name, depth), r in zip(depths.items(), room, strict=True) if r >= depth + behind}
+    kept = {name: depth for (name, depth), r in zip(depths.items(), room, strict=True) if r >= depth + behind}
+    if not kept:
+        raise InvalidInput(
+            f"depths: expected room for bone before mouth and eye sockets, got none at any of {len(depths)} landmarks; "
+            "are head and depths both in mm?"
+        )
+    return kept
 
 
 def cavity_faces(faces: IntArray, regions: Regions, vertex_count: int) -> IntArray:

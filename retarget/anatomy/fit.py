@@ -109,7 +109,24 @@ def _checked(template: HeadTemplate, neutral: FloatArray) -> FloatArray:
             f"neutral: expected a head with +y up and +z out of the face, got one turned by {turn:.0f} degrees against "
             "the template; rotate it."
         )
+    _check_crossings(template, skin)
     return skin
+
+
+def _check_crossings(template: HeadTemplate, skin: FloatArray) -> None:
+    """Raises InvalidInput for a skin that crosses itself elsewhere than at lips and lids, which touch at rest."""
+    soft = np.zeros(len(skin), dtype=bool)
+    for name in ("lips", "eyes", "interior"):
+        soft[template.regions.vertices.get(name, [])] = True
+    pairs = self_intersections(skin, template.faces)
+    allowed = soft[template.faces[pairs]].any(axis=-1).all(axis=-1)
+    crossing = pairs[np.logical_not(allowed)]
+    if len(crossing):
+        where = np.round(skin[template.faces[crossing[0, 0]]].mean(axis=0), 1).tolist()
+        raise InvalidInput(
+            f"neutral: expected skin that crosses itself at lips and lids at most, got {len(crossing)} pairs of "
+            f"crossing triangles elsewhere, the first {crossing[0].tolist()} near {where} mm; repair the mesh there."
+        )
 
 
 def _check_fit(template: HeadTemplate, repair: Repair, skull: SkullFit) -> None:

@@ -17,7 +17,7 @@ from scipy import ndimage
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
-from retarget.anatomy.depths import LARGEST, depth_basis, depths_with_room
+from retarget.anatomy.depths import depth_basis, depths_with_room
 from retarget.anatomy.distance import distance_to, signed_distance
 from retarget.check import InvalidInput
 from retarget.geometry.graph import components, vertex_adjacency
@@ -58,11 +58,6 @@ def build_skull(
     """
     check_parts(regions)
     bridged = bridge_skin(vertices, faces, regions)
-    if not all(0 < depth <= LARGEST for depth in depths.values()):
-        raise InvalidInput(
-            f"depths: expected depths in (0, {LARGEST:g}] mm, got {min(depths.values()):g} to "
-            f"{max(depths.values()):g}; are they in mm?"
-        )
     depths = depths_with_room(vertices, faces, regions, depths)
     names = list(depths)
     marks = np.array([regions.landmarks[name] for name in names])

@@ -27,6 +27,7 @@ from retarget.anatomy.template import (
     build_tissue,
     check_regions,
     check_size,
+    check_unit,
     resize,
 )
 from retarget.anatomy.tissue import Tissue
@@ -82,6 +83,7 @@ def store_template(
     skin = check_vertices("surface", surface).astype(np.float32).astype(np.float64)  # as stored
     faces = check_faces("faces", faces, len(skin))
     check_regions(regions)
+    check_unit(skin)
     depths = landmark_depths(load_depths(), regions) if depths is None else depths
     depths = depths_with_room(skin, faces, regions, depths)
     path = _folder(cache) / file_name(faces)

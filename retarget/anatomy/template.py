@@ -32,11 +32,12 @@ ENVELOPE = 0.4  # mm between the tets' boundary and the surfaces
 QUALITY = 10.0  # AMIPS energy at which the mesher stops; 3 is the regular tet
 SKULL_TRIANGLES = 16_000  # handed to the mesher, which makes its own
 NEEDED = {  # beyond what the skull needs
-    "vertices": ("face",),
+    "vertices": ("face", "cranium", "cranium_skin", "jaw_skin"),  # the last three for the simulation
     "loops": FINE_LOOPS,
     "landmarks": ("cheilion_left", "cheilion_right"),
     "points": ("condyle_left", "condyle_right"),
 }
+SMALLEST_HEAD, LARGEST_HEAD = 150.0, 800.0  # mm, diagonal of the bounding box, neck and bust included
 _LOST = 0.01  # share of the volume between skin and skull that the tets may miss
 
 Progress = Callable[[str], object]
@@ -60,6 +61,7 @@ def build_template(
     skin = check_vertices("surface", surface)
     faces = check_faces("faces", faces, len(skin))
     check_regions(regions)
+    check_unit(skin)
     depths = landmark_depths(load_depths(), regions) if depths is None else depths
     depths = depths_with_room(skin, faces, regions, depths)
     tissue = resize(build_tissue(skin, faces, regions, depths, progress), size)
@@ -130,6 +132,16 @@ def check_size(size: str) -> None:
     """Raises InvalidInput for a name that is none of the sizes."""
     if size not in REFINEMENTS:
         raise InvalidInput(f"size: expected one of {', '.join(REFINEMENTS)}, got {size!r}.")
+
+
+def check_unit(skin: FloatArray) -> None:
+    """Raises InvalidInput if a head (n, 3) is not as large as heads are in mm."""
+    size = float(np.linalg.norm(np.ptp(skin, axis=0)))
+    if not SMALLEST_HEAD < size < LARGEST_HEAD:
+        raise InvalidInput(
+            f"surface: expected a head of {SMALLEST_HEAD:g} to {LARGEST_HEAD:g} mm from corner to corner, got "
+            f"{size:.3g}; vertices are in mm."
+        )
 
 
 def check_regions(regions: Regions) -> None:

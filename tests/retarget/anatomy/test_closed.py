@@ -18,8 +18,8 @@ def sphere() -> tuple[FloatArray, IntArray]:
 
 
 def test_a_hole_is_closed_by_a_fan_that_faces_outward(sphere: tuple[FloatArray, IntArray]) -> None:
-    vertices, faces = sphere
-    opened = faces[~(faces == 0).any(axis=1)]
+    vertices, faces = sphere[0][1:], sphere[1] - 1  # without vertex 0
+    opened = faces[(faces >= 0).all(axis=1)]
     capped, closed = cap("ball", vertices, opened)
     assert len(capped) == len(vertices) + 1
     assert euler_number(closed) == 2
@@ -46,6 +46,19 @@ def test_open_inward_and_separate_surfaces_are_refused(sphere: tuple[FloatArray,
     torus = trimesh.creation.torus(30.0, 8.0)
     with pytest.raises(InvalidInput, match=r"Euler number 2.*got 0"):
         check_closed("ring", np.array(torus.vertices), np.array(torus.faces, dtype=np.int64))
+
+
+def test_holes_besides_the_neck_are_refused_with_their_place(sphere: tuple[FloatArray, IntArray]) -> None:
+    vertices, faces = sphere
+    neck = np.argsort(vertices[faces].mean(axis=1)[:, 1])[:12]
+    cheek = int(np.argmax(vertices[faces].mean(axis=1)[:, 0]))
+    used, opened = np.unique(np.delete(faces, np.append(neck, cheek), axis=0), return_inverse=True)
+    where = np.round(vertices[faces[cheek]].mean(axis=0), 1)
+    with pytest.raises(InvalidInput, match=f"got 1 more, the first of 3 edges near .{where[0]}"):
+        cap("ball", vertices[used], opened.reshape(-1, 3))
+    loose = np.vstack([vertices, [[0.0, 0.0, 0.0]]])
+    with pytest.raises(InvalidInput, match=f"none at 1 of {len(loose)}, the first is vertex {len(vertices)}"):
+        cap("ball", loose, faces)
 
 
 def test_wrong_edges_are_refused_before_capping(sphere: tuple[FloatArray, IntArray]) -> None:

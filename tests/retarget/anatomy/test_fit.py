@@ -138,6 +138,8 @@ def broken(skin: FloatArray, faces: IntArray, how: str) -> FloatArray:
     elif how == "folded":
         nose = np.linalg.norm(skin - skin[load_regions().landmarks["pronasale"]], axis=1) < 25
         skin[nose, 2] -= 70.0  # the nose is pushed through to the inside of the head
+    elif how == "pressed":
+        skin[np.argmax(skin[:, 2]), 2] -= 60.0  # the tip of the nose alone
     return skin
 
 
@@ -152,7 +154,8 @@ def broken(skin: FloatArray, faces: IntArray, how: str) -> FloatArray:
         ("axes", r"\+y up"),
         ("collapsed", "vertices are in mm"),
         ("degenerate", "degenerate"),
-        ("folded", "folded|crosses itself|room for the skull"),
+        ("folded", "crosses itself at lips and lids at most"),
+        ("pressed", "crosses itself at lips and lids at most"),
     ],
 )
 def test_what_cannot_be_fitted_is_refused_with_the_reason(template: HeadTemplate, how: str, reason: str) -> None:

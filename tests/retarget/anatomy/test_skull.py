@@ -86,8 +86,12 @@ def test_a_head_in_another_unit_is_refused(head: tuple[FloatArray, IntArray]) ->
     depths = landmark_depths(load_depths(), load_regions())
     with pytest.raises(InvalidInput, match="expected room for it under the skin"):
         build_skull(0.1 * head[0], head[1], load_regions(), depths, spacing=0.6)
-    with pytest.raises(InvalidInput, match=r"expected depths in \(0, 24\] mm, got 7 to 500"):
+    with pytest.raises(InvalidInput, match=r"in \(0, 24\] mm, got \[7.0, 500.0\]"):
         build_skull(*head, load_regions(), {"nasion": 7.0, "menton": 500.0})
+    with pytest.raises(InvalidInput, match="names of landmarks, got 'chin'"):
+        build_skull(*head, load_regions(), {"nasion": 7.0, "chin": 10.0})
+    with pytest.raises(InvalidInput, match="room for bone before mouth and eye sockets, got none"):
+        build_skull(0.001 * head[0], head[1], load_regions(), depths)
 
 
 def test_missing_parts_are_named(head: tuple[FloatArray, IntArray]) -> None:

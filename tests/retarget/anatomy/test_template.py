@@ -193,6 +193,10 @@ def test_crossing_and_torn_surfaces_are_refused_before_meshing() -> None:
     doubled = np.vstack([faces, faces[:1]])
     with pytest.raises(InvalidInput, match="at most two triangles at an edge"):
         build_template(skin, doubled, regions)
+    with pytest.raises(InvalidInput, match="expected one opening, the neck, got 1 more, the first of 3 edges"):
+        build_template(skin, np.delete(faces, 100, axis=0), regions)
+    with pytest.raises(InvalidInput, match=r"mm from corner to corner, got 0\.386"):
+        build_template(skin / 1000, faces, regions)
 
 
 def test_labels_without_a_jaw_are_refused() -> None:
