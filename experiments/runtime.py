@@ -98,11 +98,12 @@ def measure(study: RuntimeStudy, dataset: Dataset, threads: int, folder: Path, c
     cases = [(surface, collisions) for surface in study.surfaces for collisions in (False, True)]
     with limited_threads(threads):
         started = time.perf_counter()
+        console.print("fitting two heads")
         source, target = (
             fit_head(template, v) for v in (performance.pair.source_neutral, performance.pair.target_neutral)
         )
         fit_seconds = time.perf_counter() - started
-        console.print("compiling")
+        console.print("compiling, up to two minutes where it was never done")
         warm_up(study, performance, source, target)
         tables = []
         with progress(console, "expressions", len(cases) * study.animation_frames) as advance:

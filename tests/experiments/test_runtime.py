@@ -8,9 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.runtime import RuntimeStudy, perform, summarise
+from experiments.runtime import STAGES, Performance, RuntimeStudy, perform, set_up, stream, summarise
 from retarget.check import InvalidInput
+from retarget.types import Pair
 from tests.experiments.toy import toy
+from tests.retarget.simulation.box_head import box_head
 
 SETTINGS = {
     "name": "runtime",
@@ -46,6 +48,22 @@ def test_the_missing_part_is_what_the_blendshapes_leave() -> None:
     more = perform(replace(study, blendshapes=30), data)
     assert np.linalg.norm(more.missing - more.pair.source_neutral, axis=2).mean() < left
     assert np.isfinite(explained).all()
+
+
+@pytest.mark.parametrize("surface", ["soft", "hard"])
+def test_an_animation_streams_through_the_simulations(surface: str) -> None:
+    head = box_head()
+    bump = np.exp(-((head.skin - [18.0, 40.0, 20.0]) ** 2).sum(axis=1) / 200.0)[:, None] * [0.0, 0.0, 1.0]
+    frames = head.skin + np.linspace(0.2, 1.0, 4)[:, None, None] * bump
+    pair = Pair(head.template.faces, head.skin, head.skin, head.template.regions)
+    still = np.broadcast_to(head.skin, frames.shape)
+    advanced: list[int] = []
+    engine = set_up(pair, head, head, surface, collisions=True)
+    table = stream(engine, Performance(pair, frames, frames, still), advanced.append)
+    assert len(table) == len(advanced) == 4
+    assert table["converged"].all()
+    assert (table[list(STAGES)] > 0).all(axis=None)
+    np.testing.assert_allclose(table[list(STAGES)].sum(axis=1), table["seconds"])
 
 
 def test_rates_are_one_over_the_median_of_the_seconds() -> None:
