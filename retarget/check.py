@@ -31,6 +31,20 @@ def check_vertices(name: str, vertices: ArrayLike, count: int | None = None) -> 
     return _finite_and_counted(name, v, count)
 
 
+def check_points(name: str, points: ArrayLike, count: int, each: str) -> FloatArray:
+    """(count, 3) float64, finite: a point or a vector for each `each`; raises InvalidInput."""
+    v = np.asarray(points, dtype=np.float64)
+    if v.shape != (count, 3):
+        raise InvalidInput(f"{name}: expected ({count}, 3), one for each {each}, got {v.shape}.")
+    bad = np.flatnonzero(~np.isfinite(v).all(axis=1))
+    if len(bad):
+        raise InvalidInput(
+            f"{name}: expected finite numbers, but {len(bad)} of {count} are NaN or infinite, the first "
+            f"is that of {each} {bad[0]}."
+        )
+    return v
+
+
 def check_frames(name: str, frames: ArrayLike, count: int | None = None) -> FloatArray:
     """(t, n, 3) float64 mm, finite, with n == count where given; t may be 0; raises InvalidInput."""
     v = np.asarray(frames, dtype=np.float64)

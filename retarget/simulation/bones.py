@@ -17,6 +17,7 @@ CRANIUM_SHIFT = 1.0  # mm, mean over the set `cranium`
 JAW_ANGLE = 45.0  # degrees
 JAW_OPENING = 80.0  # mm at the lower incisors
 CONDYLE_SHIFT = 35.0  # mm
+FARTHEST = 150.0  # mm that a vertex or a handle may be from rest: about twice the largest opening of the jaw
 
 
 def pivot(head: Head) -> FloatArray:
@@ -29,14 +30,32 @@ def pivot(head: Head) -> FloatArray:
     return middle
 
 
+def at_rest(head: Head) -> Bones:
+    """Bones that do not move."""
+    still = RigidMotion(np.eye(3), np.zeros(3), pivot(head))
+    return Bones(still, still)
+
+
+def check_moves(name: str, points: FloatArray, rest: FloatArray) -> None:
+    """Raises InvalidInput if one of the points (k, 3) mm is more than 150 mm from where it is at rest (k, 3) mm."""
+    distance = np.linalg.norm(points - rest, axis=1)
+    if len(distance) and distance.max() > FARTHEST:
+        raise InvalidInput(
+            f"{name}: expected points within {FARTHEST:g} mm of the neutral, but {int(distance.argmax())} is "
+            f"{distance.max():.1f} mm away. Check the unit of the mesh, mm, and repair that point."
+        )
+
+
 def fit_bones(head: Head, skin: FloatArray) -> Bones:
     """The motions that take the skin over cranium and jaw from rest to `skin` (n, 3) mm, each fitted by itself.
 
     Raises InvalidInput for skin that is not stabilised: the set `cranium`, which no expression moves, turns by more
     than 1 degree or is displaced by more than 1 mm on average. `cranium_skin`, from which the bone is fitted, is the
-    wider set and moves a little with brows and cheeks. Raises it as well for a jaw that opens further than jaws can.
+    wider set and moves a little with brows and cheeks. Raises it as well for a jaw that opens further than jaws can,
+    and for a vertex that moves by more than 150 mm.
     """
     skin = check_vertices("expression", skin, len(head.skin))
+    check_moves("expression", skin, head.skin)
     check_stabilised(head, skin)
     cranium, jaw = (_fit(head, skin, name) for name in ("cranium_skin", "jaw_skin"))
     _check_jaw(head, cranium, jaw)
@@ -75,7 +94,12 @@ def size_ratio(source: FloatArray, target: FloatArray) -> float:
 
 
 def carry_bones(head: Head, bones: Bones, scale: float = 1.0) -> Bones:
-    """The motions of another head's bones on this one: same rotations about its own pivot, translations scaled."""
+    """The motions of another head's bones on this one: same rotations about its own pivot, translations scaled.
+
+    Raises InvalidInput for a scale that is not a finite number > 0.
+    """
+    if np.ndim(scale) or not (np.isfinite(scale) and scale > 0):
+        raise InvalidInput(f"scale: expected one finite number > 0, BB(T) / BB(S) of `size_ratio`, got {scale}.")
     here = pivot(head)
     cranium, jaw = (RigidMotion(m.rotation, scale * m.translation, here) for m in (bones.cranium, bones.jaw))
     return Bones(cranium, jaw)

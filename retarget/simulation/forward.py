@@ -20,12 +20,13 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from retarget.anatomy.head import Head
-from retarget.check import InvalidInput, check_vertices
-from retarget.simulation.bones import carry_bones, place_bones
+from retarget.check import InvalidInput, check_points
+from retarget.simulation.bones import at_rest, carry_bones, check_moves, place_bones
 from retarget.simulation.characteristics import Characteristics
 from retarget.simulation.collisions import Held, Lips
 from retarget.simulation.condensed import CondensedSolution, CondensedSystem, SoftProblem, SoftRows, SoftSystem
 from retarget.simulation.gradient_energy import GradientEnergy
+from retarget.simulation.materials import check_gravity
 from retarget.simulation.soft_terms import NONE, Goals, Handles, SoftTerms, SoftWeights, handle_points
 from retarget.simulation.state import Bones, HeadState
 from retarget.simulation.tetrahedra import rest_shape
@@ -65,7 +66,7 @@ class LipReport:
     """What became of lip collisions."""
 
     before: float = 0.0  # mm, deepest contact of the first run
-    after: float = 0.0  # mm, how deep the lips still are in each other, by `Lips.depth` as well
+    after: float = 0.0  # mm, how deep the lips still are in each other, by the winding number; see `Lips.depth`
     contacts: int = 0  # skin points held
     rounds: int = 0  # further runs
 
@@ -91,8 +92,8 @@ class ForwardSimulation:
         factors = np.broadcast_to(np.asarray(stiffness, dtype=np.float64), self.shape.volumes.shape)
         if not (np.isfinite(factors).all() and (factors > 0).all()):
             raise InvalidInput(f"stiffness: expected finite numbers > 0, one or one for each of {len(factors)} tets.")
-        weights = self.shape.volumes * np.where(template.muscle, rules.w_muscle, rules.w_soft) * factors
-        self._tissue = GradientEnergy(self.shape, weights)
+        weights = self.shape.volumes * np.where(template.muscle, rules.w_muscle, rules.w_soft) * factors  # eq. (18)
+        self._tissue = GradientEnergy(self.shape, weights)  # eqs (A.5), (A.6)
         corners = np.repeat(self.shape.volumes / 4, 4)
         self._mass = np.bincount(template.tets.ravel(), corners, len(head.vertices))[:, None]  # cm^3
         self._fixed = template.fixed
@@ -140,29 +141,32 @@ class ForwardSimulation:
         handles: (h, 3) mm, where those of `with_handles` should go; without it they are loose.
         gravity: (3,) in 1/mm, a *change*, from `materials.weight_change`: the gradients are an equilibrium that
         contains the weight under which the expression was recorded.
-        Raises InvalidInput for what does not fit or is not finite.
+        Where the solve fails, `info.status` is FAILED and head and bones are at rest.
+        Raises InvalidInput for what does not fit or is not finite, and for handles more than 150 mm from rest.
         """
-        wanted = self._check_gradients(gradients)
+        wanted, force = self._check_gradients(gradients), check_gravity("gravity", gravity)
         moved = np.empty_like(self.head.vertices)
         moved[self._fixed] = place_bones(self.head, bones, scale)  # section 3.3.2, forward simulation, step 1
-        load = self._tissue.divergence(wanted) + 0.5 * self._mass * np.asarray(gravity, dtype=np.float64)
+        load = self._tissue.divergence(wanted) + 0.5 * self._mass * force
         rhs = load[self._free] - self._from_fixed @ moved[self._fixed]
         if not np.isfinite(rhs).all():
-            raise InvalidInput("forward simulation: expected finite gradients, bones and gravity, got NaN or infinity.")
+            raise InvalidInput("forward simulation: expected finite gradients and bones, got NaN or infinity.")
         moved[self._free] = self._system.free(rhs)
 
         goals = self._terms.goals(characteristics or Characteristics())
         targets = goals.targets
         if handles is not None:
-            targets = np.vstack([targets, check_vertices("handles", handles, len(self._handles.weights))])
+            pulled = check_points("handles", handles, len(self._handles.weights), "handle of `with_handles`")
+            check_moves("handles", pulled, self._handles.operator @ (self._points @ self.head.vertices + self._offset))
+            targets = np.vstack([targets, pulled])
         problem = SoftProblem(self._points @ moved + self._offset, targets, goals.ratios)
         soft = self._soft_system(goals, handles is not None)
         solution, lips = self._solve(soft, problem), LipReport()  # step 2
         if self._lips:
-            solution, lips = self._resolve(self._lips, soft, problem, solution)  # step 3
-        if solution.forces.any():
-            moved[self._free] += self._system.pulled(solution.forces)
-        return self._state(moved, wanted, carry_bones(self.head, bones, scale), solution, lips)
+            solution, moved, lips = self._resolve(self._lips, soft, problem, solution, moved)  # step 3
+        else:
+            moved = self._pulled(moved, solution)
+        return self._state(moved, wanted, carry_bones(self.head, bones, scale), solution, lips)  # eq. (10)
 
     def _check_gradients(self, gradients: FloatArray) -> FloatArray:
         wanted = np.asarray(gradients, dtype=np.float64)
@@ -186,10 +190,22 @@ class ForwardSimulation:
     def _solve(self, soft: SoftSystem, problem: SoftProblem, start: FloatArray | None = None) -> CondensedSolution:
         return soft.solve(problem, self.settings.area_iterations, self.settings.area_tolerance, start)
 
+    def _pulled(self, moved: FloatArray, solution: CondensedSolution) -> FloatArray:
+        """Vertices (v, 3) mm from those without forces."""
+        if not solution.forces.any():
+            return moved
+        pulled = moved.copy()
+        pulled[self._free] += self._system.pulled(solution.forces)
+        return pulled
+
+    def _skin(self, moved: FloatArray) -> FloatArray:
+        return self.head.template.embedding @ moved + self.head.residual
+
     def _resolve(
-        self, lips: Lips, soft: SoftSystem, problem: SoftProblem, solution: CondensedSolution
-    ) -> tuple[CondensedSolution, LipReport]:
-        """Detect contacts, hold both sides at their average position and solve again, until none is left.
+        self, lips: Lips, soft: SoftSystem, problem: SoftProblem, solution: CondensedSolution, free: FloatArray
+    ) -> tuple[CondensedSolution, FloatArray, LipReport]:
+        """Detect contacts, hold both sides at their average position and solve again, until none is left; from the
+        vertices `free` (v, 3) mm without forces to those of the result.
 
         # differs from the paper: which resolves once. Points that hang on the same tets cannot all be held where they
         # should, and new ones meet; so those that are still inside are pushed on, further in each round.
@@ -199,9 +215,13 @@ class ForwardSimulation:
         held, deepest = Held.none(), []
         for turn in range(rules.collision_rounds + 1):
             skin[self._terms.skin] = (problem.points + system.shifts(solution.forces))[:count]
-            found = lips.contacts(skin)
+            found, last = lips.contacts(skin), turn == rules.collision_rounds
+            if last or not found.count:
+                moved = self._pulled(free, solution)
+                whole = self._skin(moved)
+                found = found if found.count else lips.hidden(whole)
             deepest.append(found.deepest)
-            if not found.count or turn == rules.collision_rounds:
+            if last or not found.count:
                 break
             held = held.renewed(found, skin, push=turn + 2.0)
             operator, goals = held.rows(len(skin))
@@ -211,10 +231,10 @@ class ForwardSimulation:
             rows = SoftRows.stack([contacts], len(self._offset))
             targets = np.vstack([problem.targets, goals])
             solution = self._solve(soft.with_fixed(rows), replace(problem, targets=targets), solution.goal)
-        after = max(deepest[-1], lips.depth(skin))
+        after = max(deepest[-1], lips.depth(whole))
         if after > ACCEPTED and solution.status is Status.CONVERGED:
             solution = replace(solution, status=Status.MAX_ITERATIONS)
-        return solution, LipReport(deepest[0], after, held.contacts.count, len(deepest) - 1)
+        return solution, moved, LipReport(deepest[0], after, held.contacts.count, len(deepest) - 1)
 
     def _state(
         self, moved: FloatArray, wanted: FloatArray, bones: Bones, solution: CondensedSolution, lips: LipReport
@@ -224,12 +244,12 @@ class ForwardSimulation:
         if not np.isfinite(tissue) or solution.status is Status.FAILED:
             rest = np.broadcast_to(np.eye(3), gradients.shape).copy()
             info = SolveInfo(Status.FAILED, 0, (), "the result is not finite")
-            return ForwardState(head.vertices.copy(), head.skin.copy(), rest, bones, info)
+            return ForwardState(head.vertices.copy(), head.skin.copy(), rest, at_rest(head), info)
         free = tissue - float(np.vdot(solution.forces, self._system.shifts(solution.forces)))  # of x0
         energy = tuple(free + e for e in solution.energy)
         message = ""
         if lips.rounds or lips.after > ACCEPTED:
             message = f"lips: {lips.contacts} contacts up to {lips.before:.2f} mm deep, {lips.after:.2f} mm left"
-        skin = head.template.embedding @ moved + head.residual
+        skin = self._skin(moved)
         info = SolveInfo(solution.status, max(len(energy) - 1, 1), energy, message)
         return ForwardState(moved, skin, gradients, bones, info, lips)

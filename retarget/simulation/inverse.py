@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import repeat
 from typing import Literal
 
 import numpy as np
@@ -15,9 +16,10 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from retarget.anatomy.head import Head
-from retarget.check import InvalidInput, check_frames, check_vertices
-from retarget.simulation.bones import fit_bones, place_bones
+from retarget.check import InvalidInput, check_frames, check_points, check_vertices
+from retarget.simulation.bones import at_rest, check_moves, fit_bones, place_bones
 from retarget.simulation.local_step import paper_energy
+from retarget.simulation.materials import check_gravity
 from retarget.simulation.projections import closest_rotation
 from retarget.simulation.projective_dynamics import (
     LENGTH_UNIT,
@@ -134,34 +136,56 @@ class InverseSimulation:
         """The head that forms the expression `skin` (n, 3) mm; `near` is a solved one to start from, if not rest.
 
         handles: (h, 3) mm, where those of the constructor should go. gravity: (3,) in 1/mm, a *change*, from
-        `materials.weight_change`. Where the solve fails, `info.status` is FAILED and the head is at rest.
-        Raises InvalidInput for skin that does not fit, is not finite, is not stabilised or opens the jaw too far.
+        `materials.weight_change`. Where the solve fails, `info.status` is FAILED and head and bones are at rest.
+        Raises InvalidInput for what does not fit or is not finite, for skin that is not stabilised or opens the jaw
+        too far, and for vertices and handles more than 150 mm from rest.
         """
         posed = self._pose(skin, handles)
         known = None if near is None else (near.vertices, self._seen(near.vertices))
-        return self._state(posed, self.solver.solve_many([self._problem(posed, known, gravity)])[0])
+        return self._state(posed, self.solver.solve_many([self._problem(posed, known, gravity)])[0])  # eq. (8)
 
-    def batch(self, skins: FloatArray, size: int = 16) -> list[HeadState]:
-        """Expressions (b, n, 3) mm, each from rest and independent of the others, `size` in one back-substitution."""
+    def batch(
+        self,
+        skins: FloatArray,
+        size: int = 16,
+        handles: FloatArray | None = None,
+        gravity: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> list[HeadState]:
+        """Expressions (b, n, 3) mm, each from rest and independent of the others, `size` in one back-substitution.
+
+        handles: (h, 3) mm for all expressions, or (b, h, 3). gravity: (3,) for all. Raises InvalidInput as a call
+        does, for any expression before the first is solved; the message names its index.
+        """
         frames = check_frames("expressions", skins, len(self.head.skin))
+        if handles is not None and handles.ndim == 3 and len(handles) != len(frames):
+            raise InvalidInput(f"handles: expected (h, 3), or {len(frames)} of these, got {len(handles)}.")
+        posed = list(self._poses(frames, handles))
         states = []
-        for first in range(0, len(frames), size):
-            posed = [self._pose(skin, None) for skin in frames[first : first + size]]
-            solved = self.solver.solve_many([self._problem(p, None, (0.0, 0.0, 0.0)) for p in posed])
-            states += [self._state(*pair) for pair in zip(posed, solved, strict=True)]
+        for first in range(0, len(posed), size):
+            some = posed[first : first + size]
+            solved = self.solver.solve_many([self._problem(p, None, gravity) for p in some])
+            states += [self._state(*pair) for pair in zip(some, solved, strict=True)]
         return states
 
-    def stream(self, skins: Iterable[FloatArray]) -> Iterator[HeadState]:
+    def stream(
+        self,
+        skins: Iterable[FloatArray],
+        handles: FloatArray | Iterable[FloatArray] | None = None,
+        gravity: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> Iterator[HeadState]:
         """An animation, one expression (n, 3) mm at a time, each predicted from those before it.
 
         The prediction is the affine combination of the last expressions that comes closest on the skin, to which the
         solver adds the harmonic extension of what is left.
+
+        handles: (h, 3) mm for all frames, or as many of these as frames. gravity: (3,) for all. A frame that fails is
+        at rest and the next one goes on. Raises InvalidInput as a call does; the message names the frame's index, and
+        the stream ends there: repair or leave out the frame and start a stream with what follows.
         """
         known: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=self.settings.history)
         known.append((self.head.vertices, self._seen(self.head.vertices)))
-        for skin in skins:
-            posed = self._pose(skin, None)
-            found = self.solver.solve_many([self._problem(posed, self._predicted(known, posed), (0.0, 0.0, 0.0))])[0]
+        for posed in self._poses(skins, handles):
+            found = self.solver.solve_many([self._problem(posed, self._predicted(known, posed), gravity)])[0]
             if found.info.status is not Status.FAILED:
                 known.append((found.vertices, posed.targets))
             yield self._state(posed, found)
@@ -169,7 +193,22 @@ class InverseSimulation:
     def paper_energy(self, state: HeadState) -> float:
         """Eqs (11) and (12) as printed, tets weighted as in eq. (14) and by volume in cm^3."""
         rotations = closest_rotation(state.gradients)
-        return paper_energy(state.gradients, rotations, self.weights.strain, self.weights.volume)
+        return paper_energy(state.gradients, rotations, self.weights.strain, self.weights.volume)  # eqs (11), (12)
+
+    def _poses(
+        self, skins: Iterable[FloatArray], handles: FloatArray | Iterable[FloatArray] | None
+    ) -> Iterator[_Posed]:
+        goals: Iterator[FloatArray | None]
+        if handles is None or (isinstance(handles, np.ndarray) and handles.ndim == 2):
+            goals = repeat(handles)
+        else:
+            goals = iter(handles)
+        for number, skin in enumerate(skins):
+            try:
+                posed = self._pose(skin, next(goals, None))
+            except InvalidInput as error:
+                raise InvalidInput(f"frame {number}: {error}") from error
+            yield posed
 
     def _pose(self, skin: FloatArray, handles: FloatArray | None) -> _Posed:
         """Step 1 of section 3.3.2, and the targets of step 2."""
@@ -183,7 +222,9 @@ class InverseSimulation:
             )
         targets = [skin - head.residual] if self.settings.surface == "soft" else []  # eq. (13) through the embedding
         if handles is not None:
-            targets.append(check_vertices("handles", handles, self._handle_count) - self._handle_offset)
+            pulled = check_points("handles", handles, self._handle_count, "handle") - self._handle_offset
+            check_moves("handles", pulled, self._seen(head.vertices)[-self._handle_count :])
+            targets.append(pulled)
         moved = head.vertices.copy()
         if self.settings.surface == "hard":
             moved[self._outer] += self._carry @ (skin - head.skin)
@@ -195,16 +236,15 @@ class InverseSimulation:
         return self.solver.seen(vertices)
 
     def _problem(self, posed: _Posed, near: tuple[FloatArray, FloatArray] | None, gravity: ArrayLike) -> Problem:
-        force = np.asarray(gravity, dtype=np.float64)
+        force = check_gravity("gravity", gravity)
         forces = self._mass[:, None] * force if force.any() else None
         return Problem(posed.targets, posed.fixed, near=near, forces=forces)
 
     def _state(self, posed: _Posed, found: Equilibrium) -> HeadState:
         head = self.head
+        bones = at_rest(head) if found.info.status is Status.FAILED else posed.bones
         skin = head.template.embedding @ found.vertices + head.residual
-        return HeadState(
-            found.vertices, skin, deformation_gradients(self.shape, found.vertices), posed.bones, found.info
-        )
+        return HeadState(found.vertices, skin, deformation_gradients(self.shape, found.vertices), bones, found.info)
 
     def _predicted(self, known: deque[tuple[FloatArray, FloatArray]], posed: _Posed) -> tuple[FloatArray, FloatArray]:
         """The affine combination of known (vertices, targets) closest in targets, or in fixed vertices without any."""

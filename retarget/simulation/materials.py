@@ -34,6 +34,14 @@ def region_stiffness(head: Head, factors: Mapping[str, float]) -> FloatArray:
     return stiffness
 
 
+def check_gravity(name: str, gravity: ArrayLike) -> FloatArray:
+    """(3,) float64, finite; raises InvalidInput."""
+    vector = np.asarray(gravity, dtype=np.float64)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise InvalidInput(f"{name}: expected a vector (3,) of finite numbers, got {gravity!r}; see `weight_change`.")
+    return vector
+
+
 def weight_change(
     gravity: ArrayLike, recorded: ArrayLike = EARTH, density: float = 1000.0, shear_modulus: float = 5000.0
 ) -> FloatArray:
@@ -41,7 +49,8 @@ def weight_change(
 
     The energy density of a tet of weight 1 is shear_modulus (Pa) times ||F - DG||^2, so the change enters the energy
     as density (kg/m^3) * change / shear_modulus. 5 kPa is of the order published for facial skin and fat.
+    Raises InvalidInput for vectors of another shape or that are not finite.
     """
-    change = np.asarray(gravity, dtype=np.float64) - np.asarray(recorded, dtype=np.float64)
+    change = check_gravity("gravity", gravity) - check_gravity("recorded", recorded)
     per_millimetre: FloatArray = change * density / shear_modulus / 1000.0
     return per_millimetre

@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
-from retarget.check import InvalidInput, check_vertices
+from retarget.check import InvalidInput, check_points
 from retarget.geometry.cholesky import NotPositiveDefinite
 from retarget.simulation.anderson import Anderson
 from retarget.simulation.factor import factorise
@@ -56,8 +56,8 @@ def tissue_weights(
             f"{muscle_strain}; without strain the muscle has no unique shape."
         )
     return TissueWeights(
-        strain=shape.volumes * np.where(is_muscle, w_muscle * muscle_strain, w_soft),
-        volume=shape.volumes * np.where(is_muscle, w_muscle, w_soft),
+        strain=shape.volumes * np.where(is_muscle, w_muscle * muscle_strain, w_soft),  # eq. (11), first term
+        volume=shape.volumes * np.where(is_muscle, w_muscle, w_soft),  # eq. (11), second term, and eq. (12)
     )
 
 
@@ -246,7 +246,7 @@ class ProjectiveDynamics:
         count = len(self.free)
         wanted = self._rest[count:]
         if problem.fixed_positions is not None:
-            wanted = check_vertices("fixed_positions", problem.fixed_positions, len(self.fixed))
+            wanted = check_points("fixed_positions", problem.fixed_positions, len(self.fixed), "fixed vertex")
         if problem.start is not None:
             x = self._inside("start", problem.start)
             x[count:] = wanted
@@ -273,12 +273,12 @@ class ProjectiveDynamics:
 
     def _targets(self, targets: FloatArray | None) -> FloatArray:
         count = self._embed.shape[0]
-        return check_vertices("targets", np.empty((0, 3)) if targets is None else targets, count)
+        return check_points("targets", np.empty((0, 3)) if targets is None else targets, count, "row of the operator")
 
     def _forces(self, forces: FloatArray | None) -> FloatArray | None:
         if forces is None:
             return None
-        return check_vertices("forces", forces, len(self._order))[self._order[: len(self.free)]]
+        return check_points("forces", forces, len(self._order), "vertex")[self._order[: len(self.free)]]
 
     def _evaluate(self, x: FloatArray, goal: FloatArray, forces: FloatArray | None) -> _Evaluation:
         local, count = self._tissue(x), len(self.free)
@@ -311,7 +311,10 @@ class ProjectiveDynamics:
                 return self._failed("the energy is not finite", tuple(energies))
             step = float(np.sqrt(np.einsum("vc,vc", move, move) / count))
             # At rounding level even the plain iterate may ascend: stay.
-            ascended = candidate.energy > current.energy
+            rise = candidate.energy - current.energy
+            ascended = rise > 0
+            if rise > self._rounding * current.stored + self._negligible:
+                return self._failed(f"a plain step raised the energy by {rise:.3g}", tuple(energies))
             if not ascended:
                 change = current.energy - candidate.energy
                 x, current = moved, candidate
@@ -323,6 +326,11 @@ class ProjectiveDynamics:
             ):
                 return self._ended(Status.CONVERGED, x, energies, steps, current.inverted)
         return self._ended(Status.MAX_ITERATIONS, x, energies, steps, current.inverted)
+
+    @property
+    def _rounding(self) -> float:
+        """Of energies, relative; an order above what is measured."""
+        return 1e-6 if self.settings.single_precision else 1e-12
 
     @property
     def _negligible(self) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from retarget.anatomy.head import Head
-from retarget.check import InvalidInput, check_vertices
+from retarget.check import InvalidInput, check_points
 from retarget.simulation.area_terms import area_terms
 from retarget.simulation.characteristics import EYE_OPENINGS, EYE_SOCKETS, Characteristics
 from retarget.simulation.condensed import SoftRows
@@ -73,12 +73,12 @@ class SoftTerms:
         self._rows = {}
         self._kept: dict[str, IntArray] = {}
         self._counts = {"lip_contour": len(contour)} | {term: len(t) for term, t in triangles.items()}
-        if len(contour) and weights.lip_contour > 0:
+        if len(contour) and weights.lip_contour > 0:  # eq. (A.4)
             pick = sp.eye_array(len(self.skin), format="csr")[self.place[contour]]
             self._rows["lip_contour"] = SoftRows(
                 pick, np.full(len(contour), unit * weights.lip_contour / LENGTH_UNIT**2)
             )
-        for term, faces in triangles.items():
+        for term, faces in triangles.items():  # eqs (A.2), (A.3)
             areas = area_terms(head.skin[self.skin], self.place[faces])
             if len(areas.kept) and getattr(weights, term) > 0:
                 self._kept[term] = areas.kept
@@ -88,7 +88,9 @@ class SoftTerms:
         """Raises InvalidInput for characteristics that do not fit this topology or are not finite."""
         active, targets, ratios = [], np.empty((0, 3)), [np.empty(0)]
         if given.lip_contour is not None:
-            contour = check_vertices("characteristics.lip_contour", given.lip_contour, self._counts["lip_contour"])
+            contour = check_points(
+                "characteristics.lip_contour", given.lip_contour, self._counts["lip_contour"], "vertex of the loop"
+            )
             if "lip_contour" in self._rows:
                 active, targets = ["lip_contour"], contour
         for term in ("eye_opening", "eye_socket"):
@@ -107,7 +109,7 @@ class SoftTerms:
 
     def rows(self, goals: Goals) -> tuple[SoftRows, SoftRows]:
         """The rows with fixed targets and those of triangles, on p points."""
-        fixed = [self._rows[term] for term in goals.active if term == "lip_contour"]
+        fixed = [self._rows[term] for term in goals.active if term == "lip_contour"]  # eq. (A.1) is the sum of both
         areas = [self._rows[term] for term in goals.active if term != "lip_contour"]
         return SoftRows.stack(fixed, len(self.skin)), SoftRows.stack(areas, len(self.skin))
 

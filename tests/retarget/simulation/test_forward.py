@@ -1,6 +1,5 @@
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -25,6 +24,7 @@ from retarget.types import Pair, Regions, Status
 from tests.retarget.simulation.box import box
 from tests.retarget.simulation.box_head import box_head
 from tests.retarget.simulation.test_bones import turn
+from tests.retarget.simulation.threads import with_one_and_two_threads
 
 CALM = ForwardSettings(collisions=False, area_tolerance=1e-11, area_iterations=3000)
 
@@ -282,13 +282,8 @@ def test_stiffer_regions_follow_less(head):
 def test_same_result_for_any_number_of_threads(head, forward):
     vertices, bones = moved(head)
     gradients = deformation_gradients(forward.shape, vertices)
-    before = numba.get_num_threads()
-    results = []
-    for threads in {1, before}:
-        numba.set_num_threads(threads)
-        results.append(forward(gradients, bones, characteristics=wanted(head)).vertices)
-    numba.set_num_threads(before)
-    np.testing.assert_array_equal(results[0], results[-1])
+    one, two = with_one_and_two_threads(lambda: forward(gradients, bones, characteristics=wanted(head)))
+    np.testing.assert_array_equal(one.vertices, two.vertices)
 
 
 def test_bad_input_is_refused(head, forward):
@@ -296,14 +291,25 @@ def test_bad_input_is_refused(head, forward):
     gradients = deformation_gradients(forward.shape, vertices)
     with pytest.raises(InvalidInput, match="gradients: expected"):
         forward(gradients[1:], bones)
-    with pytest.raises(InvalidInput, match="finite gradients, bones and gravity"):
+    with pytest.raises(InvalidInput, match="finite gradients and bones"):
         forward(np.where(np.arange(len(gradients))[:, None, None] == 5, np.nan, gradients), bones)
     with pytest.raises(InvalidInput, match=r"characteristics\.lip_contour: expected"):
         forward(gradients, bones, characteristics=Characteristics(lip_contour=np.zeros((3, 3))))
+    contour = np.where(np.arange(len(wanted(head).lip_contour))[:, None] == 2, np.nan, wanted(head).lip_contour)
+    with pytest.raises(InvalidInput, match=r"characteristics\.lip_contour: expected finite numbers, but 1 of"):
+        forward(gradients, bones, characteristics=Characteristics(lip_contour=contour))
     with pytest.raises(InvalidInput, match=r"characteristics\.eye_opening: expected 8 finite area ratios"):
         forward(gradients, bones, characteristics=Characteristics(eye_opening=np.full(8, np.nan)))
-    with pytest.raises(InvalidInput, match="handles: expected 0"):
+    with pytest.raises(InvalidInput, match=r"handles: expected \(0, 3\), one for each handle"):
         forward(gradients, bones, handles=np.zeros((1, 3)))
+    with pytest.raises(InvalidInput, match=r"handles: expected points within 150 mm .* but 0 is 1000\.0 mm"):
+        forward.with_handles(Handles(skin=np.array([7])))(gradients, bones, handles=head.skin[[7]] + [0, 0, 1000.0])
+    for gravity in (9.81, (0, np.nan, 0), (0, 1.0)):
+        with pytest.raises(InvalidInput, match="gravity: expected a vector"):
+            forward(gradients, bones, gravity=gravity)
+    for scale in (0.0, -1.0, np.nan, np.inf, np.ones(3)):
+        with pytest.raises(InvalidInput, match="scale: expected one finite number > 0"):
+            forward(gradients, bones, scale)
     with pytest.raises(InvalidInput, match=r"handles\.vertices: expected indices"):
         forward.with_handles(Handles(vertices=np.array([10**6])))
     with pytest.raises(InvalidInput, match=r"handles\.weights"):
@@ -324,6 +330,13 @@ def test_what_overflows_fails_without_nan(head, forward):
     assert state.info.status is Status.FAILED
     np.testing.assert_array_equal(state.skin, head.skin)
     np.testing.assert_array_equal(state.gradients, np.broadcast_to(np.eye(3), state.gradients.shape))
+
+
+def test_a_state_that_failed_is_one_of_rest(head, forward):
+    _, bones = moved(head)
+    state = forward(np.full((len(head.template.tets), 3, 3), 1e200), bones)
+    assert state.info.status is Status.FAILED
+    np.testing.assert_allclose(forward(state.gradients, state.bones).vertices, head.vertices, atol=1e-9)
 
 
 def test_the_kernels_are_the_gradient_matrix(head):

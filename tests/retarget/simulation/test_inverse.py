@@ -5,6 +5,7 @@ import pytest
 
 from retarget.anatomy.head import Head
 from retarget.check import InvalidInput
+from retarget.simulation.forward import ForwardSettings, ForwardSimulation
 from retarget.simulation.inverse import InverseSettings, InverseSimulation
 from retarget.simulation.materials import region_stiffness, weight_change
 from retarget.simulation.projections import closest_rotation, closest_unit_determinant
@@ -14,6 +15,7 @@ from retarget.simulation.surface import carried_by_skin, vertex_areas
 from retarget.simulation.tetrahedra import deformation_gradients
 from retarget.types import SolveInfo, Status
 from tests.retarget.simulation.box_head import box_head, box_template
+from tests.retarget.simulation.threads import with_one_and_two_threads
 
 EXACT = SolverSettings(max_iterations=500, energy_tolerance=1e-12, step_tolerance=1e-8, single_precision=False)
 
@@ -216,6 +218,54 @@ def test_a_stream_forgets_a_solve_that_failed(head, monkeypatch):
     np.testing.assert_array_equal(states[2].vertices, without[1].vertices)
 
 
+def test_a_solve_that_failed_is_at_rest_with_its_bones(head, simulation):
+    """So that the forward simulation makes rest of it, not a jaw that opens in tissue that stays."""
+    state = simulation(jaw_drop(head), gravity=(0, 1e300, 0))
+    assert state.info.status is Status.FAILED
+    back = ForwardSimulation(head, ForwardSettings(collisions=False))(state.gradients, state.bones)
+    np.testing.assert_allclose(back.vertices, head.vertices, atol=1e-9)
+
+
+def handled(head):
+    """A simulation with two handles, where three frames want them, and the weight on all."""
+    points = np.array([5, 90])
+    simulation = InverseSimulation(head, InverseSettings(solver=EXACT), handles=Handles(skin=points))
+    goals = head.skin[points] + np.array([0, 0, 1.0]) * np.arange(3)[:, None, None]
+    return simulation, goals, np.array([0.001, -0.002, 0.0])
+
+
+@pytest.mark.parametrize("per_frame", [True, False])
+def test_handles_and_weight_mean_the_same_in_batch_and_stream(head, per_frame):
+    simulation, goals, gravity = handled(head)
+    skins = expressions(head, 3)
+    given = goals if per_frame else goals[2]
+    together = simulation.batch(skins, 2, given, gravity)
+    streamed = list(simulation.stream(iter(skins), iter(given) if per_frame else given, gravity))
+    for i, skin in enumerate(skins):
+        alone = simulation(skin, handles=goals[i] if per_frame else goals[2], gravity=gravity)
+        np.testing.assert_allclose(together[i].vertices, alone.vertices, atol=1e-6)
+        np.testing.assert_allclose(streamed[i].vertices, alone.vertices, atol=1e-4)
+    plain = InverseSimulation(head)(skins[0])
+    assert np.abs(plain.vertices - together[0].vertices).max() > 0.01
+
+
+def test_a_bad_frame_is_named(head, simulation):
+    skins = expressions(head, 3)
+    skins[1, 7] = np.nan
+    stream = simulation.stream(skins)
+    next(stream)
+    with pytest.raises(InvalidInput, match="frame 1: expression: 1 vertices are NaN"):
+        next(stream)
+    skins[1] = head.skin + np.array([0, 0, 1.5])
+    with pytest.raises(InvalidInput, match="frame 1: expression: expected a head that keeps still"):
+        simulation.batch(skins)
+    held, goals, _ = handled(head)
+    with pytest.raises(InvalidInput, match=r"frame 2: handles: .* got none"):
+        list(held.stream(expressions(head, 3), goals[:2]))
+    with pytest.raises(InvalidInput, match=r"handles: expected .* or 3 of these, got 2"):
+        held.batch(expressions(head, 3), handles=goals[:2])
+
+
 def test_the_hard_surface_moves_with_the_skin(head):
     outer, carry = carried_by_skin(head)
     assert not np.isin(outer, head.template.skull).any()
@@ -259,14 +309,8 @@ def test_artistic_control(head, simulation):
 
 
 def test_one_thread_and_two_give_the_same(head, simulation):
-    import numba
-
-    before, states = numba.get_num_threads(), []
-    for threads in sorted({1, before}):
-        numba.set_num_threads(threads)
-        states.append(simulation(cheek(head)))
-    numba.set_num_threads(before)
-    np.testing.assert_allclose(states[0].vertices, states[-1].vertices, atol=1e-9)
+    one, two = with_one_and_two_threads(lambda: simulation(cheek(head)))
+    np.testing.assert_array_equal(one.vertices, two.vertices)
 
 
 def test_double_precision_changes_nothing_that_counts(head, simulation):
@@ -285,6 +329,19 @@ def test_bad_input_is_refused(head, simulation):
         simulation(head.skin + np.array([0, 0, 1.5]))
     with pytest.raises(InvalidInput, match="opens as jaws can"):
         simulation(jaw_drop(head, 60.0))
+    far = head.skin + np.where(np.arange(len(head.skin))[:, None] == 90, [0, 0, 1e6], 0)
+    with pytest.raises(
+        InvalidInput, match=r"expression: expected points within 150 mm .* but 90 is 1000000\.0 mm away"
+    ):
+        simulation(far)
+    for gravity in (9.81, (0, np.nan, 0), (0, 1.0)):
+        with pytest.raises(InvalidInput, match="gravity: expected a vector"):
+            simulation(head.skin, gravity=gravity)
+    held, goals, _ = handled(head)
+    with pytest.raises(InvalidInput, match=r"handles: expected points within 150 mm .* but 1 is 1000\.0 mm"):
+        held(head.skin, handles=goals[0] + [[0, 0, 0], [0, 0, 1000.0]])
+    with pytest.raises(InvalidInput, match=r"handles: expected \(2, 3\), one for each handle, got \(2, 2\)"):
+        held(head.skin, handles=goals[0, :, :2])
     with pytest.raises(InvalidInput, match="surface"):
         InverseSettings(surface="firm")
     with pytest.raises(InvalidInput, match="w_target > 0"):

@@ -1,4 +1,3 @@
-import numba
 import numpy as np
 import pytest
 
@@ -6,6 +5,7 @@ from retarget.simulation.local_step import TetrahedralEnergy, paper_energy
 from retarget.simulation.projections import closest_rotation, closest_unit_determinant
 from retarget.simulation.tetrahedra import deformation_gradients, gradient_operator, rest_shape
 from tests.retarget.simulation.box import box
+from tests.retarget.simulation.threads import with_one_and_two_threads
 
 
 @pytest.fixture(scope="module")
@@ -68,12 +68,6 @@ def test_uniform_scaling_has_the_known_energy(shape, weights, scale):
 def test_same_bits_for_any_number_of_threads(shape, weights):
     x = shape.vertices + np.random.default_rng(1).normal(size=shape.vertices.shape)
     energy = TetrahedralEnergy(shape, *weights)
-    before = numba.get_num_threads()
-    steps = []
-    for threads in {1, before}:
-        numba.set_num_threads(threads)
-        steps.append(energy(x))
-    numba.set_num_threads(before)
-    assert len({s.energy for s in steps}) == 1
-    for s in steps:
-        np.testing.assert_array_equal(s.descent, steps[0].descent)
+    one, two = with_one_and_two_threads(lambda: energy(x))
+    assert one.energy == two.energy
+    np.testing.assert_array_equal(one.descent, two.descent)

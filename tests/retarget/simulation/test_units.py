@@ -12,7 +12,12 @@ from synth_data.arkit import SKIN_NAMES
 from synth_data.makehuman.regions import load_regions
 from synth_data.makehuman.targets import load_head
 
-FIT_RMS, FIT_MAX = 0.2, 3.0  # mm on the visible skin of the coarse template
+FIT = {  # mm on the visible skin of the coarse template: rms and worst vertex, with a fifth of room
+    "eyeBlinkLeft": (0.2, 3.0),
+    "eyeBlinkRight": (0.2, 3.0),
+    "mouthClose": (0.17, 1.9),
+}
+FIT_OF_OTHERS = 0.145, 1.25
 ROUNDING = 1e-8  # mm
 
 
@@ -42,5 +47,6 @@ def test_a_unit_comes_back(simulations, targets, unit):
     np.testing.assert_allclose(back.vertices, state.vertices, atol=ROUNDING)
     visible = inverse.head.template.regions.vertices["head"]
     miss = np.linalg.norm(back.skin - expression, axis=1)[visible]
-    assert np.sqrt((miss**2).mean()) < FIT_RMS
-    assert miss.max() < FIT_MAX
+    rms, worst = FIT.get(unit, FIT_OF_OTHERS)
+    assert np.sqrt((miss**2).mean()) < rms
+    assert miss.max() < worst
