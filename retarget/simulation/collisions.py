@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from retarget.check import InvalidInput
 from retarget.geometry.graph import vertex_adjacency
-from retarget.simulation.penetration import Surface
+from retarget.simulation.penetration import Surface, inside
 from retarget.types import FloatArray, IntArray, Regions
 
 TRIGGER = 0.05  # mm: shallower contacts are left alone
@@ -22,12 +22,13 @@ REACH = 10.0  # mm: how far the inner sides of the lips count as lips
 
 @dataclass(frozen=True)
 class Contacts:
-    """Skin points inside of the other lip, each with the point of that lip's surface straight below or above it."""
+    """Skin points inside of the other lip, each with a point of that lip's surface: straight below or above, or the
+    nearest."""
 
     points: IntArray  # (k,)
     triangles: IntArray  # (k, 3) vertices of the triangle that holds the other point
     barycentric: FloatArray  # (k, 3)
-    depth: FloatArray  # (k,) mm, vertical
+    depth: FloatArray  # (k,) mm, the distance of the two
 
     @property
     def count(self) -> int:
@@ -37,6 +38,11 @@ class Contacts:
     def deepest(self) -> float:
         """mm; 0 without contacts."""
         return float(self.depth.max(initial=0.0))
+
+    def deeper_than(self, depths: FloatArray) -> Contacts:
+        """Those deeper than what depths (n,) mm says for their points."""
+        keep = self.depth > depths[self.points]
+        return Contacts(self.points[keep], self.triangles[keep], self.barycentric[keep], self.depth[keep])
 
     def half_way(self, skin: FloatArray) -> FloatArray:
         """(k, 3) mm: from each point half the way to its counterpart, on skin (n, 3) mm."""
@@ -112,8 +118,10 @@ class Lips:
     the lower lip is inside of the upper one if the first triangle of the upper lip straight below it faces down; the
     other way round for points of the upper lip. # differs from the paper: it looks at points of the lower lip alone,
     which leaves points of the upper lip inside where the lower lip is meshed more coarsely.
-    Candidates are the points of the sets, but for the corners of the mouth, which both hold. Lips may touch at rest,
+    Candidates are all points of a lip, but for the corners of the mouth, which both sets hold. Lips may touch at rest,
     and neutrals with crossed lips stay as they are: points that are inside at rest count where they go deeper.
+    What that rule does not see, as nothing of the other lip is straight below, the winding number of the whole skin
+    shows; see `hidden`.
     """
 
     def __init__(self, rest: FloatArray, faces: IntArray, regions: Regions) -> None:
@@ -130,29 +138,42 @@ class Lips:
         self.vertices: IntArray = np.union1d(upper, lower)
         self.upper_faces = np.ascontiguousarray(faces[np.isin(faces, upper).all(axis=1)])  # (u, 3)
         self.lower_faces = np.ascontiguousarray(faces[np.isin(faces, lower).all(axis=1)])  # (l, 3)
-        self._upper, self._lower = (np.setdiff1d(part, corners) for part in sets)
+        self._upper, self._lower = np.setdiff1d(upper, corners), np.setdiff1d(lower, corners)
         self._allowed = np.full(len(rest), TRIGGER)
         resting = self.contacts(rest)
         self._allowed[resting.points] += np.where(resting.depth < DEEP, resting.depth, np.inf)
-        self._surfaces = Surface(self.upper_faces, len(rest)), Surface(self.lower_faces, len(rest))
-        self._resting = self._depths(rest)
+        self._faces = np.ascontiguousarray(faces, dtype=np.int64)
+        self._surfaces = Surface(self.upper_faces), Surface(self.lower_faces)
+        self._resting = np.zeros(len(rest))
+        inner = self._inside(rest)
+        self._resting[inner.points] = inner.depth
 
     def contacts(self, skin: FloatArray) -> Contacts:
-        """All points of skin (n, 3) mm that are deeper in the other lip than TRIGGER, and by as much than at rest."""
+        """All points of skin (n, 3) mm that are deeper in the other lip than TRIGGER, and by as much than at rest.
+        Only the lips' `vertices` are looked at."""
         x = np.ascontiguousarray(skin, dtype=np.float64)
         below = _passed(x, self._lower, self.upper_faces, 1.0, self._allowed)
         above = _passed(x, self._upper, self.lower_faces, -1.0, self._allowed)
         return Contacts(*(np.concatenate(pair) for pair in zip(below, above, strict=True)))
 
-    def depth(self, skin: FloatArray) -> float:
-        """mm: how deep any candidate lies behind the other lip of skin (n, 3) mm, along that lip's normals and beyond
-        its depth at rest. It sees what `contacts` cannot: points that are inside with no counterpart straight below.
-        """
-        return float((self._depths(skin) - self._resting).max(initial=0.0))
+    def hidden(self, skin: FloatArray) -> Contacts:
+        """All points of the whole skin (n, 3) mm that lie inside of it, and further from the other lip than TRIGGER,
+        and by as much than at rest, each with the nearest point of the other lip."""
+        return self._inside(skin).deeper_than(self._resting + TRIGGER)
 
-    def _depths(self, skin: FloatArray) -> FloatArray:
-        upper, lower = self._surfaces
-        return np.concatenate([upper.depths(skin, self._lower), lower.depths(skin, self._upper)])
+    def depth(self, skin: FloatArray) -> float:
+        """mm: how deep any point of a lip but the corners lies inside of the whole skin (n, 3) mm: its distance from
+        the other lip, beyond that at rest."""
+        found = self._inside(skin)
+        return float((found.depth - self._resting[found.points]).max(initial=0.0))
+
+    def _inside(self, skin: FloatArray) -> Contacts:
+        parts = []
+        for points, other in zip((self._upper, self._lower), self._surfaces[::-1], strict=True):
+            within = points[inside(skin, self._faces, points)]
+            distances, triangles, barycentric = other.nearest(skin, within)
+            parts.append((within, triangles, barycentric, distances))
+        return Contacts(*(np.concatenate(pair) for pair in zip(*parts, strict=True)))
 
 
 def _with_inner_sides(

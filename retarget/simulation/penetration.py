@@ -1,49 +1,117 @@
-"""How deep points lie behind a surface, whatever the direction: along the normal of the nearest point."""
+"""Which points lie inside of a skin, and how far from a surface."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from retarget.types import FloatArray, IntArray
 
 REACH = 10.0  # mm: points further away are not looked at
 SLOT = 1.0  # mm: triangles are looked up by their left end
-ALIGNED = 0.5  # least cosine between the way to the nearest point and the normal there
+TINY = 1e-300  # instead of 0 as a divisor
+SKIN = 0.02  # mm: what is less deep inside of the skin is on it
 
 
 class Surface:
-    """An open surface, ready to measure depths behind it in any of its deformations."""
+    """A surface, ready to find nearest points in any of its deformations."""
 
-    def __init__(self, faces: IntArray, n: int) -> None:
-        """faces (f, 3) of a mesh with n vertices."""
+    def __init__(self, faces: IntArray) -> None:
+        """faces (f, 3)."""
         self.faces = np.ascontiguousarray(faces, dtype=np.int64)
-        sides = np.sort(self.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-        edges, counts = np.unique(sides, axis=0, return_counts=True)
-        self._rim = np.zeros(n, dtype=bool)
-        self._rim[edges[counts == 1]] = True
 
-    def depths(self, vertices: FloatArray, points: IntArray) -> FloatArray:
-        """(k,) mm for the vertices `points` (k,) of vertices (n, 3) mm: the distance from the nearest point of the
-        surface if they lie behind it, else 0. Who is nearest to the rim is beside the surface, not behind it."""
-        x = np.ascontiguousarray(vertices, dtype=np.float64)
-        depths = np.zeros(len(points))
-        if len(self.faces):
-            _depths(x, points, self.faces, self._rim, depths)
-        return depths
+    def nearest(self, vertices: FloatArray, points: IntArray) -> tuple[FloatArray, IntArray, FloatArray]:
+        """Distances (k,) mm of the vertices `points` (k,) of vertices (n, 3) mm from the surface, at most REACH, on
+        whatever side; the triangles (k, 3) of the nearest points, and their barycentric coordinates (k, 3), which are
+        0 beyond REACH."""
+        x, k = np.ascontiguousarray(vertices, dtype=np.float64), len(points)
+        distances, triangles, barycentric = np.full(k, REACH), np.zeros((k, 3), dtype=np.int64), np.zeros((k, 3))
+        if len(self.faces) and k:
+            _nearest_points(x, points, self.faces, distances, triangles, barycentric)
+        return distances, triangles, barycentric
+
+
+def inside(vertices: FloatArray, faces: IntArray, points: IntArray) -> NDArray[np.bool_]:
+    """(k,) which of the vertices `points` (k,) of a skin (n, 3) mm, (f, 3) lie inside of it, by more than SKIN.
+
+    A ray forward, along +z, leaves the skin as often as it enters it if it starts outside: the winding number, also
+    of a skin that crosses itself. The skin may be open where no such ray passes, as at the neck and behind.
+    """
+    x = np.ascontiguousarray(vertices, dtype=np.float64)
+    return _leaves(x, np.ascontiguousarray(faces, dtype=np.int64), points) > 0
 
 
 @njit(cache=True)
-def _depths(x, points, faces, rim, depths):  # type: ignore[no-untyped-def]
-    low, high, normals = np.empty((len(faces), 3)), np.empty((len(faces), 3)), np.zeros((len(x), 3))
+def _leaves(x, faces, points):  # type: ignore[no-untyped-def]
+    """How often the ray along +z from SKIN off each point leaves the surface, less how often it enters it."""
+    at = np.full(len(x), -1)
+    normals = np.zeros((len(points), 3))
+    at[points] = np.arange(len(points))
+    for f in range(len(faces)):
+        a, b, c = faces[f]
+        if at[a] < 0 and at[b] < 0 and at[c] < 0:
+            continue
+        for corner in range(3):
+            o, p, q = faces[f, corner], faces[f, (corner + 1) % 3], faces[f, (corner + 2) % 3]
+            if at[o] < 0:
+                continue
+            u, v = x[p] - x[o], x[q] - x[o]
+            cosine = np.dot(u, v) / max(np.sqrt(np.dot(u, u) * np.dot(v, v)), TINY)
+            normal = np.cross(u, v)  # weighted by the angle: a point off a vertex is outside (Baerentzen, Aanaes 2005)
+            normals[at[o]] += (
+                np.arccos(min(max(cosine, -1.0), 1.0)) * normal / max(np.sqrt(np.dot(normal, normal)), TINY)
+            )
+    starts = np.empty((len(points), 3))
+    for k in range(len(points)):
+        starts[k] = x[points[k]] + SKIN * normals[k] / max(np.sqrt(np.dot(normals[k], normals[k])), TINY)
+    order = np.argsort(starts[:, 0], kind="mergesort")
+    sorted_x = starts[order, 0]
+    bottom, top, back = starts[:, 1].min(), starts[:, 1].max(), starts[:, 2].min()
+    leaves = np.zeros(len(points), np.int64)
+    for f in range(len(faces)):
+        a, b, c = faces[f]
+        high_y, low_y = max(x[a, 1], x[b, 1], x[c, 1]), min(x[a, 1], x[b, 1], x[c, 1])
+        front = max(x[a, 2], x[b, 2], x[c, 2])
+        if high_y < bottom or low_y > top or front < back:
+            continue
+        first = np.searchsorted(sorted_x, min(x[a, 0], x[b, 0], x[c, 0]))
+        for k in order[first : np.searchsorted(sorted_x, max(x[a, 0], x[b, 0], x[c, 0]), side="right")]:
+            px, py, pz = starts[k]
+            if py < low_y or py > high_y or pz > front:
+                continue
+            turns = _turn(x, a, b, px, py) + _turn(x, b, c, px, py) + _turn(x, c, a, px, py)
+            if turns == 0:
+                continue
+            normal = np.cross(x[b] - x[a], x[c] - x[a])
+            ahead = normal[0] * (x[a, 0] - px) + normal[1] * (x[a, 1] - py) + normal[2] * (x[a, 2] - pz)
+            if turns * ahead > 0:
+                leaves[k] += turns
+    return leaves
+
+
+@njit(cache=True)
+def _turn(x, a, b, px, py):  # type: ignore[no-untyped-def]
+    """How the edge ab, seen along z, turns about (px, py): 1 if it passes right of it upwards, -1 downwards, else 0.
+
+    Triangles at one edge get the same answer with opposite signs, so no ray slips between them.
+    """
+    low, high, sign = a, b, 1
+    if x[a, 1] > x[b, 1]:
+        low, high, sign = b, a, -1
+    if not x[low, 1] <= py < x[high, 1]:
+        return 0
+    along = (py - x[low, 1]) / (x[high, 1] - x[low, 1])
+    return sign if px < x[low, 0] + along * (x[high, 0] - x[low, 0]) else 0
+
+
+@njit(cache=True)
+def _nearest_points(x, points, faces, distances, triangles, barycentric):  # type: ignore[no-untyped-def]
+    low, high = np.empty((len(faces), 3)), np.empty((len(faces), 3))
     for f in range(len(faces)):
         a, b, c = x[faces[f, 0]], x[faces[f, 1]], x[faces[f, 2]]
         for i in range(3):
-            j, k = (i + 1) % 3, (i + 2) % 3
             low[f, i], high[f, i] = min(a[i], b[i], c[i]), max(a[i], b[i], c[i])
-            area = (b[j] - a[j]) * (c[k] - a[k]) - (b[k] - a[k]) * (c[j] - a[j])
-            for corner in range(3):
-                normals[faces[f, corner], i] += area
     left, widest = low[:, 0].min(), (high[:, 0] - low[:, 0]).max()
     slot = ((low[:, 0] - left) / SLOT).astype(np.int64)
     slots = slot.max() + 1
@@ -74,18 +142,9 @@ def _depths(x, points, faces, rim, depths):  # type: ignore[no-untyped-def]
                     weights[0], weights[1], weights[2] = 1 - s - t, s, t
         if nearest < 0:
             continue
-        inner, along, length = False, 0.0, 0.0
+        distances[k] = np.sqrt(best)
         for corner in range(3):
-            inner = inner or (weights[corner] > 1e-9 and not rim[faces[nearest, corner]])
-        for i in range(3):
-            way, normal = -p[i], 0.0
-            for corner in range(3):
-                way += weights[corner] * x[faces[nearest, corner], i]
-                normal += weights[corner] * normals[faces[nearest, corner], i]
-            along += way * normal
-            length += normal * normal
-        if inner and along > ALIGNED * np.sqrt(length * best):
-            depths[k] = np.sqrt(best)
+            triangles[k, corner], barycentric[k, corner] = faces[nearest, corner], weights[corner]
 
 
 @njit(cache=True)

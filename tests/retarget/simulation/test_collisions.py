@@ -8,7 +8,7 @@ from retarget.check import InvalidInput
 from retarget.simulation.bones import pivot
 from retarget.simulation.collisions import TRIGGER, Lips
 from retarget.simulation.forward import ForwardSettings, ForwardSimulation
-from retarget.simulation.penetration import Surface
+from retarget.simulation.penetration import REACH, Surface, inside
 from retarget.simulation.state import Bones, RigidMotion
 from retarget.types import Regions, Status
 from tests.retarget.simulation.box_head import GAP, box_head
@@ -77,18 +77,6 @@ def test_lips_that_cross_at_rest_count_where_they_go_deeper():
     assert Lips(deep, faces, regions).contacts(strip(3.0)[0]).count < 15
 
 
-@pytest.mark.parametrize("height", [0.2, 1.5])
-def test_depth_has_no_preferred_direction(height):
-    rest, faces, regions = strip(-1.0)
-    skin = strip(height)[0]
-    assert Lips(rest, faces, regions).depth(skin) == pytest.approx(height)
-    upright = Lips(rest[:, [0, 2, 1]], faces[:, ::-1], regions)
-    assert upright.contacts(skin[:, [0, 2, 1]]).count == 0  # nothing is straight below
-    assert upright.depth(skin[:, [0, 2, 1]]) == pytest.approx(height)
-    assert Lips(skin, faces, regions).depth(skin) == 0
-    assert Lips(skin, faces, regions).depth(strip(height + 0.3)[0]) == pytest.approx(0.3)
-
-
 def test_corners_are_no_candidates(head):
     lips = Lips(head.skin, head.template.faces, head.template.regions)
     lowered = head.skin - np.where(np.isin(np.arange(len(head.skin)), lips._upper), 3.0, 0.0)[:, None] * [0, 1, 0]
@@ -98,39 +86,75 @@ def test_corners_are_no_candidates(head):
     assert not np.isin(contacts.points, shared).any()
 
 
-def test_depths_behind_a_surface():
-    """A roof of two planes at right angles over z: distances by hand, along the normal of the nearer plane."""
-    x, z = (a.ravel() for a in np.meshgrid(np.arange(-3.0, 4.0), np.arange(5.0), indexing="ij"))
-    quad = (np.arange(6)[:, None] * 5 + np.arange(4)).ravel()
-    faces = np.concatenate([np.c_[quad, quad + 1, quad + 6], np.c_[quad, quad + 6, quad + 5]])  # facing up
-    points = np.array(
-        [[0, -1.0, 2.1], [1.2, -1.5, 1.3], [-1.2, -1.4, 1.3], [0.3, 0.4, 2.0], [0, -1.0, 4.5], [0, -30, 2]]
-    )
-    skin = np.vstack([np.c_[x, -np.abs(x), z], points])
-    found = Surface(faces, len(skin)).depths(skin, np.arange(len(x), len(skin)))
-    np.testing.assert_allclose(found, [np.sqrt(0.5), 0.3 / np.sqrt(2), 0.2 / np.sqrt(2), 0, 0, 0], atol=1e-12)
-    flipped = Surface(faces[:, ::-1], len(skin)).depths(skin, np.arange(len(x), len(skin)))
-    np.testing.assert_allclose(flipped, [0, 0, 0, 0.5, 0, 0], atol=1e-12)  # nearest to the ridge
-    assert Surface(faces[:0], len(skin)).depths(skin, np.arange(3)).max() == 0
-
-
-def test_depths_behind_a_wavy_sheet():
-    """Against vtk's nearest cells."""
+def sheet():
     x, z = (a.ravel() for a in np.meshgrid(np.linspace(-20, 20, 41), np.linspace(-20, 20, 41), indexing="ij"))
     quad = (np.arange(40)[:, None] * 41 + np.arange(40)).ravel()
     faces = np.concatenate([np.c_[quad, quad + 1, quad + 42], np.c_[quad, quad + 42, quad + 41]])
-    sheet = np.c_[x, 2 * np.sin(x / 5) * np.cos(z / 6), z]
+    return np.c_[x, 2 * np.sin(x / 5) * np.cos(z / 6), z], faces
+
+
+def test_nearest_points_of_a_wavy_sheet():
+    """Against vtk's nearest cells."""
+    vertices, faces = sheet()
     rng = np.random.default_rng(0)
-    points = np.c_[rng.uniform(-12, 12, 300), rng.uniform(-7, 7, 300), rng.uniform(-12, 12, 300)]
-    skin = np.vstack([sheet, points])
-    found = Surface(faces, len(skin)).depths(skin, np.arange(len(sheet), len(skin)))
-    _, nearest = pv.PolyData.from_regular_faces(sheet, faces).find_closest_cell(points, return_closest_point=True)
-    behind = points[:, 1] < 2 * np.sin(points[:, 0] / 5) * np.cos(points[:, 2] / 6) - 0.1
-    distance = np.linalg.norm(nearest - points, axis=1)
-    assert 50 < behind.sum() < 250
-    np.testing.assert_allclose(found[behind], distance[behind], atol=1e-6)
-    above = points[:, 1] > 2 * np.sin(points[:, 0] / 5) * np.cos(points[:, 2] / 6) + 0.1
-    assert found[above].max() == 0
+    points = np.c_[rng.uniform(-22, 22, 300), rng.uniform(-7, 7, 300), rng.uniform(-22, 22, 300)]
+    skin = np.vstack([vertices, points, [[0, -30, 0]]])
+    distances, triangles, barycentric = Surface(faces).nearest(skin, np.arange(len(vertices), len(skin)))
+    _, nearest = pv.PolyData.from_regular_faces(vertices, faces).find_closest_cell(points, return_closest_point=True)
+    np.testing.assert_allclose(distances[:-1], np.linalg.norm(nearest - points, axis=1), atol=1e-6)
+    np.testing.assert_allclose(np.einsum("kc,kci->ki", barycentric, skin[triangles])[:-1], nearest, atol=1e-5)
+    assert distances[-1] == REACH
+    assert barycentric[-1].max() == 0
+    assert Surface(faces[:0]).nearest(skin, np.arange(3))[0].min() == REACH
+
+
+def winding(vertices, faces, points):
+    """Winding number of a closed surface about each of points (k, 3), from solid angles (Van Oosterom, Strackee 1983):
+    independent of rays."""
+    a, b, c = (vertices[faces[:, i]][None] - points[:, None] for i in range(3))
+    la, lb, lc = (np.linalg.norm(e, axis=2) for e in (a, b, c))
+    volume = np.einsum("kfi,kfi->kf", a, np.cross(b, c))
+    rest = la * lb * lc + sum(np.einsum("kfi,kfi->kf", u, v) * w for u, v, w in ((a, b, lc), (b, c, la), (c, a, lb)))
+    return np.arctan2(volume, rest).sum(axis=1) / (2 * np.pi)
+
+
+def test_inside_of_a_surface_that_crosses_itself():
+    """Two balls that overlap, one of them hollow: the rays count what the solid angles say."""
+    balls = [
+        pv.Sphere(radius=5),
+        pv.Sphere(radius=4, center=(3, 1, 2)),
+        pv.Sphere(radius=2, center=(-1, 0, 0)).flip_faces(),
+    ]
+    start = np.cumsum([0] + [ball.n_points for ball in balls[:-1]])
+    vertices = np.vstack([ball.points for ball in balls]).astype(float)
+    faces = np.vstack([ball.regular_faces + first for ball, first in zip(balls, start, strict=True)])
+    points = np.random.default_rng(0).uniform(-8, 8, (500, 3))
+    skin = np.vstack([vertices, points])
+    found = inside(skin, faces, np.arange(len(vertices), len(skin)))
+    expected = winding(vertices, faces, points)
+    np.testing.assert_allclose(expected, np.round(expected), atol=1e-9)
+    assert {0, 1, 2} == set(np.round(expected).astype(int))
+    np.testing.assert_array_equal(found, expected > 0.5)
+    own = np.arange(start[2])  # vertices of the balls: outside of their own, inside of the other if within
+    within = np.r_[np.linalg.norm(vertices[: start[1]] - [3, 1, 2], axis=1) < 3.9, np.zeros(start[2] - start[1], bool)]
+    within[start[1] :] = np.linalg.norm(vertices[start[1] : start[2]], axis=1) < 4.9
+    clear = np.r_[
+        np.abs(np.linalg.norm(vertices[: start[1]] - [3, 1, 2], axis=1) - 4) > 0.1,
+        np.abs(np.linalg.norm(vertices[start[1] : start[2]], axis=1) - 5) > 0.1,
+    ]
+    hollow = np.linalg.norm(vertices[own] + [1, 0, 0], axis=1) < 2.1
+    keep = clear & ~hollow
+    assert 100 < within[keep].sum() < keep.sum() - 100
+    np.testing.assert_array_equal(inside(skin, faces, own)[keep], within[keep])
+
+
+def test_no_ray_slips_between_triangles():
+    """Rays through vertices and edges of a cube's grid."""
+    cube = pv.Box((-2, 2, -2, 2, -2, 2), level=3).triangulate().clean()
+    grid = np.stack(np.meshgrid(*[np.linspace(-1.5, 1.5, 7)] * 3), axis=-1).reshape(-1, 3)
+    skin = np.vstack([cube.points, grid, grid + np.array([4, 0, 0]), grid - np.array([0, 0, 4])]).astype(float)
+    found = inside(skin, cube.regular_faces, np.arange(cube.n_points, len(skin)))
+    np.testing.assert_array_equal(found, np.repeat([True, False, False], len(grid)))
 
 
 def closed(head, lift, degrees=0.0):

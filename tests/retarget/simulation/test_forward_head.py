@@ -2,12 +2,16 @@
 
 import numpy as np
 import pytest
+import pyvista as pv
 
+from retarget.anatomy.closed import cap
 from retarget.anatomy.head import Head
 from retarget.anatomy.store import load_template
 from retarget.simulation.bones import carry_bones, fit_bones, pivot, rotation_angle
 from retarget.simulation.characteristics import FacialCharacteristics
+from retarget.simulation.collisions import Lips
 from retarget.simulation.forward import ForwardSettings, ForwardSimulation
+from retarget.simulation.inverse import InverseSimulation
 from retarget.simulation.projective_dynamics import ProjectiveDynamics, SolverSettings, tissue_weights
 from retarget.simulation.state import Bones, RigidMotion
 from retarget.simulation.tetrahedra import deformation_gradients
@@ -15,7 +19,7 @@ from retarget.types import Pair, Status
 from synth_data.makehuman.regions import load_regions
 from synth_data.makehuman.targets import load_head
 from tests.retarget.simulation.test_bones import turn
-from tests.retarget.simulation.test_collisions import depth
+from tests.retarget.simulation.test_collisions import depth, winding
 
 UNITS = {
     "smile": {"mouthSmileLeft": 1, "mouthSmileRight": 1},
@@ -26,9 +30,16 @@ UNITS = {
     "roll": {"mouthRollLower": 1, "mouthRollUpper": 1},
     "purse": {"mouthPressLeft": 1, "mouthPressRight": 1, "mouthShrugLower": 1},
     "kiss": {"mouthSmileLeft": 1, "mouthSmileRight": 1, "mouthPucker": 1},
-    "pass": {"mouthClose": 1},
     "drop": {"jawOpen": 1},
     "blink": {"eyeBlinkLeft": 0.68, "eyeBlinkRight": 0.68},
+}
+FAR = {  # lips that pass far into each other, the inner sides too
+    "close": {"mouthClose": 1},
+    "clench": {"jawOpen": -0.6},
+    "suck": {"mouthFunnel": 1, "mouthClose": 0.4},
+    "chew": {"mouthLeft": 1, "mouthShrugLower": 1},
+    "pucker": {"mouthPucker": 1},
+    "shrug": UNITS["shrug"],
 }
 CROSSED = {"smile", "press", "shrug", "funnel", "bite", "roll", "purse", "kiss"}
 
@@ -52,6 +63,11 @@ def forward(head):
 
 
 @pytest.fixture(scope="module")
+def inverse(head):
+    return InverseSimulation(head)
+
+
+@pytest.fixture(scope="module")
 def formed(head, forward, faces_and_units):
     """Expression, bones, tet vertices and gradients by name, from a short inverse simulation."""
     settings = SolverSettings(max_iterations=8, repair_inverted_start=True)
@@ -70,7 +86,7 @@ def formed(head, forward, faces_and_units):
     return {name: form(name) for name in UNITS}
 
 
-@pytest.mark.parametrize("name", [name for name in UNITS if name != "pass"])
+@pytest.mark.parametrize("name", UNITS)
 def test_expressions_come_back_and_lips_are_apart(head, forward, formed, name):
     skin, bones, vertices, gradients = formed[name]
     plain = ForwardSimulation(head, ForwardSettings(collisions=False))(gradients, bones)
@@ -87,13 +103,47 @@ def test_expressions_come_back_and_lips_are_apart(head, forward, formed, name):
     assert error.mean() < 0.1
 
 
-def test_lips_that_passed_each_other_are_reported(head, forward, formed):
-    """mouthClose without jawOpen lifts the lower lip in front of the upper one, where nothing is straight below."""
-    skin, bones, _, gradients = formed["pass"]
-    pair = Pair(head.template.faces, head.skin, head.skin, head.template.regions)
-    state = forward(gradients, bones, characteristics=FacialCharacteristics(pair)(skin))
-    assert state.lips.after > max(0.3, depth(head, state.skin))
-    assert state.info.status is Status.MAX_ITERATIONS
+def deepest_inside(head, skin):
+    """mm: how far any point of a lip that is inside of the skin is from the other lip, by solid angles and vtk."""
+    lips, faces = Lips(head.skin, head.template.faces, head.template.regions), head.template.faces
+    closed_skin, closed_faces = cap("skin", skin, faces)
+    normals = np.zeros_like(skin)
+    for i in range(3):
+        corner, after, before = (skin[faces[:, (i + j) % 3]] for j in range(3))
+        u, v = (e / np.linalg.norm(e, axis=1, keepdims=True) for e in (after - corner, before - corner))
+        cross = np.cross(u, v)
+        sine, cosine = np.linalg.norm(cross, axis=1), np.einsum("fi,fi->f", u, v)
+        np.add.at(normals, faces[:, i], (np.arctan2(sine, cosine) / sine)[:, None] * cross)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    shared = np.intersect1d(*(head.template.regions.vertices[f"{lip}_lip"] for lip in ("upper", "lower")))
+    deepest = 0.0
+    for own, other in ((lips.upper_faces, lips.lower_faces), (lips.lower_faces, lips.upper_faces)):
+        points = np.setdiff1d(own, shared)
+        starts = skin[points] + 0.02 * normals[points]
+        numbers = np.concatenate([winding(closed_skin, closed_faces, part) for part in np.array_split(starts, 8)])
+        within = skin[points[numbers > 0.5]]
+        if len(within):
+            mesh = pv.PolyData.from_regular_faces(skin, other)
+            _, nearest = mesh.find_closest_cell(within, return_closest_point=True)
+            deepest = max(deepest, np.linalg.norm(nearest - within, axis=1).max())
+    return deepest
+
+
+@pytest.mark.parametrize("name", FAR)
+def test_what_is_left_is_measured_on_all_sides(head, forward, inverse, faces_and_units, name):
+    skin = head.skin + sum(w * faces_and_units[1][f"units/{unit}"] for unit, w in FAR[name].items())
+    state = inverse(skin)
+    for simulation, resolved in (
+        (forward, True),
+        (ForwardSimulation(head, ForwardSettings(collision_rounds=1)), False),
+    ):
+        found = simulation(state.gradients, state.bones)
+        left = deepest_inside(head, found.skin)
+        assert found.lips.after > left - 1e-6
+        assert (left < 0.1) == resolved
+        assert (found.info.status is Status.CONVERGED) == resolved
+        assert f"{found.lips.after:.2f} mm left" in found.info.message
+        assert simulation._lips.depth(found.skin) == pytest.approx(left, abs=1e-5)
 
 
 def test_the_neutral_of_another_head(head, forward):
