@@ -29,6 +29,8 @@ from retarget.simulation.factor import Factor, factorise
 from retarget.simulation.projective_dynamics import Anderson
 from retarget.types import FloatArray, Status
 
+ROUNDING = 1e-6  # of the energy
+
 
 class CondensedSystem:
     """The factor of A (n, n) and the compliance K (m, m) of points C (m, n)."""
@@ -108,7 +110,8 @@ class CondensedSolution:
 
 
 class SoftSystem:
-    """The dense system of one set of soft rows: `fixed` with given targets, `areas` (2 k) with wanted area ratios.
+    """The dense system of one set of soft rows: `fixed` with given targets, `areas` (2 k) with wanted area ratios and
+    the same weight for both rows of a triangle, as their projection minimises the unweighted distance.
 
     In multipliers (held, pull) it reads [[inner, across], [across^T, outer]], with the lower factor L of `inner`,
     half = L^-1 across and the inverse P^-1 + R^T R of what is left of `outer` once `fixed` is eliminated.
@@ -151,7 +154,8 @@ class SoftSystem:
 
         Without areas the minimum is exact at once. With them, projective dynamics on the rows of the triangles,
         accelerated and safeguarded: the energy never rises. It stops where a plain iteration would change the
-        triangles' projected gradients by less than `tolerance` (rms).
+        triangles' projected gradients by less than `tolerance` (rms). A plain iteration that raises the energy by more
+        than rounding ends with FAILED.
         """
         points, ratios = problem.points, problem.ratios
         miss = problem.targets - self.fixed.operator @ points
@@ -176,8 +180,9 @@ class SoftSystem:
                 accelerate.restart()
                 step = residual
                 candidate = self._evaluate(drift, goal + step, ratios)
-            if not candidate[0] <= energy:  # rounding
-                status = Status.CONVERGED
+            if not candidate[0] <= energy:
+                rounding = candidate[0] - energy <= ROUNDING * (base + energy)
+                status = Status.CONVERGED if rounding else Status.FAILED
                 break
             goal = goal + step
             energy, pull, projected = candidate

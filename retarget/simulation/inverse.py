@@ -193,7 +193,7 @@ class InverseSimulation:
     def paper_energy(self, state: HeadState) -> float:
         """Eqs (11) and (12) as printed, tets weighted as in eq. (14) and by volume in cm^3."""
         rotations = closest_rotation(state.gradients)
-        return paper_energy(state.gradients, rotations, self.weights.strain, self.weights.volume)  # eqs (11), (12)
+        return paper_energy(state.gradients, rotations, self.weights.strain, self.weights.volume)
 
     def _poses(
         self, skins: Iterable[FloatArray], handles: FloatArray | Iterable[FloatArray] | None

@@ -87,7 +87,7 @@ def _lanes(values: FloatArray) -> FloatArray:
 def paper_energy(gradients: FloatArray, rotations: FloatArray, strain: FloatArray, volume: FloatArray) -> float:
     """Eqs (11) and (12) as printed: sum strain ||F - R||^2 + volume (det F - 1)^2, for F and R (t, 3, 3)."""
     squared = ((gradients - rotations) ** 2).sum(axis=(1, 2))
-    return float(strain @ squared + volume @ (np.linalg.det(gradients) - 1) ** 2)
+    return float(strain @ squared + volume @ (np.linalg.det(gradients) - 1) ** 2)  # eqs (11), (12)
 
 
 @njit(cache=True)
