@@ -243,7 +243,9 @@ class ForwardSimulation:
         tissue, gradients = self._tissue(moved, wanted)
         if not np.isfinite(tissue) or solution.status is Status.FAILED:
             rest = np.broadcast_to(np.eye(3), gradients.shape).copy()
-            info = SolveInfo(Status.FAILED, 0, (), "the result is not finite")
+            finite = np.isfinite([tissue, *solution.energy]).all()
+            message = "a plain iteration on areas raised the energy" if finite else "the result is not finite"
+            info = SolveInfo(Status.FAILED, 0, (), message)
             return ForwardState(head.vertices.copy(), head.skin.copy(), rest, at_rest(head), info)
         free = tissue - float(np.vdot(solution.forces, self._system.shifts(solution.forces)))  # of x0
         energy = tuple(free + e for e in solution.energy)
