@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from retarget.simulation.chunks import CHUNKS
 from retarget.types import FloatArray
 
-CHUNKS = 8  # fixed, so that sums have one order whatever the number of threads
 FUSE = {"contract", "reassoc", "nsz"}  # NaN and infinity keep their meaning
 
 

@@ -26,7 +26,7 @@ from retarget.simulation.characteristics import Characteristics
 from retarget.simulation.collisions import Held, Lips
 from retarget.simulation.condensed import CondensedSolution, CondensedSystem, SoftProblem, SoftRows, SoftSystem
 from retarget.simulation.gradient_energy import GradientEnergy
-from retarget.simulation.materials import check_gravity
+from retarget.simulation.materials import check_gravity, check_stiffness
 from retarget.simulation.soft_terms import NONE, Goals, Handles, SoftTerms, SoftWeights, handle_points
 from retarget.simulation.state import Bones, HeadState
 from retarget.simulation.tetrahedra import rest_shape
@@ -89,9 +89,7 @@ class ForwardSimulation:
         self.head, self.settings = head, settings or ForwardSettings()
         template, rules = head.template, self.settings
         self.shape = rest_shape(head.vertices, template.tets)
-        factors = np.broadcast_to(np.asarray(stiffness, dtype=np.float64), self.shape.volumes.shape)
-        if not (np.isfinite(factors).all() and (factors > 0).all()):
-            raise InvalidInput(f"stiffness: expected finite numbers > 0, one or one for each of {len(factors)} tets.")
+        factors = check_stiffness(stiffness, len(self.shape.tets))
         weights = self.shape.volumes * np.where(template.muscle, rules.w_muscle, rules.w_soft) * factors  # eq. (18)
         self._tissue = GradientEnergy(self.shape, weights)  # eqs (A.5), (A.6)
         corners = np.repeat(self.shape.volumes / 4, 4)

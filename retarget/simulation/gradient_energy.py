@@ -6,10 +6,9 @@ import numpy as np
 import scipy.sparse as sp
 from numba import njit, prange
 
+from retarget.simulation.chunks import CHUNKS, gather
 from retarget.simulation.tetrahedra import RestShape, gradient_operator
 from retarget.types import FloatArray
-
-CHUNKS = 8  # fixed, so that sums have one order whatever the number of threads
 
 
 class GradientEnergy:
@@ -35,7 +34,7 @@ class GradientEnergy:
         wanted = np.ascontiguousarray(targets, dtype=np.float64).reshape(-1, 9)
         total = np.empty((len(self.shape.vertices), 3))
         _scatter(self._tets, self._inverse, self.weights, wanted, self._bounds, self._ranges, self._parts)
-        _gather(self._parts, self._ranges, total)
+        gather(self._parts, self._ranges, total)
         return total
 
     def __call__(self, vertices: FloatArray, targets: FloatArray) -> tuple[float, FloatArray]:
@@ -65,18 +64,6 @@ def _scatter(tets, inverse, weights, wanted, bounds, ranges, parts):  # type: ig
                 parts[chunk, v1, j] += a
                 parts[chunk, v2, j] += b
                 parts[chunk, v3, j] += c
-
-
-@njit(cache=True, parallel=True)
-def _gather(parts, ranges, total):  # type: ignore[no-untyped-def]
-    for v in prange(len(total)):
-        x, y, z = 0.0, 0.0, 0.0
-        for chunk in range(len(ranges)):
-            if ranges[chunk, 0] <= v < ranges[chunk, 1]:
-                x += parts[chunk, v, 0]
-                y += parts[chunk, v, 1]
-                z += parts[chunk, v, 2]
-        total[v, 0], total[v, 1], total[v, 2] = x, y, z
 
 
 @njit(cache=True, parallel=True, fastmath={"contract", "reassoc"})  # NaN keeps its meaning

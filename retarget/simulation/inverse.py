@@ -19,7 +19,7 @@ from retarget.anatomy.head import Head
 from retarget.check import InvalidInput, check_frames, check_points, check_vertices
 from retarget.simulation.bones import at_rest, check_moves, fit_bones, place_bones
 from retarget.simulation.local_step import paper_energy
-from retarget.simulation.materials import check_gravity
+from retarget.simulation.materials import check_gravity, check_stiffness
 from retarget.simulation.projections import closest_rotation
 from retarget.simulation.projective_dynamics import (
     LENGTH_UNIT,
@@ -89,9 +89,7 @@ class InverseSimulation:
         self.head, self.settings = head, settings or InverseSettings()
         template, rules = head.template, self.settings
         self.shape = rest_shape(head.vertices, template.tets)
-        factors = np.broadcast_to(np.asarray(stiffness, dtype=np.float64), self.shape.volumes.shape)
-        if not (np.isfinite(factors).all() and (factors > 0).all()):
-            raise InvalidInput(f"stiffness: expected finite numbers > 0, one or one for each of {len(factors)} tets.")
+        factors = check_stiffness(stiffness, len(self.shape.tets))
         weights = tissue_weights(self.shape, template.muscle, rules.w_soft, rules.w_muscle, rules.muscle_strain)
         self.weights = TissueWeights(weights.strain * factors, weights.volume * factors)
 

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit, prange
 
+from retarget.simulation.chunks import CHUNKS, gather
 from retarget.simulation.tetrahedra import RestShape
 from retarget.types import FloatArray
 
-CHUNKS = 8  # fixed, so that sums have one order whatever the number of threads
 FLAT = 1e-3  # determinant up to which Newton's iteration is not tried
 # In double and in single precision, squared last step.
 POLAR_TOLERANCE = (1e-10, 1e-7)  # as convergence is quadratic, it bounds the error itself
@@ -74,7 +74,7 @@ class TetrahedralEnergy:
             x, self._tets, self._inverse, self._weights, self._count, self._bounds, self._ranges, self._parts, sums
         )
         descent = np.empty((self.size, 3))
-        _gather(self._parts, self._ranges, descent)
+        gather(self._parts, self._ranges, descent)
         strain, volume, inverted = sums.sum(axis=0)
         return LocalStep(float(strain), float(volume), descent, int(inverted))
 
@@ -482,15 +482,3 @@ def _chunk(x, tets, inverse, weights, count, begin, end, touched, descent, sums)
         _multiply_transposed(r, inverse[tile], f)
         _scatter(f, tets[tile], descent)
     sums[0], sums[1], sums[2] = total_strain, total_volume, inverted
-
-
-@njit(cache=True, parallel=True)
-def _gather(parts, ranges, total):  # type: ignore[no-untyped-def]
-    for v in prange(len(total)):
-        x, y, z = 0.0, 0.0, 0.0
-        for chunk in range(len(ranges)):
-            if ranges[chunk, 0] <= v < ranges[chunk, 1]:
-                x += parts[chunk, v, 0]
-                y += parts[chunk, v, 1]
-                z += parts[chunk, v, 2]
-        total[v, 0], total[v, 1], total[v, 2] = x, y, z

@@ -34,6 +34,14 @@ def region_stiffness(head: Head, factors: Mapping[str, float]) -> FloatArray:
     return stiffness
 
 
+def check_stiffness(stiffness: ArrayLike, count: int) -> FloatArray:
+    """(count,) float64 factors > 0, given as one number or one for each tet; raises InvalidInput."""
+    factors = np.broadcast_to(np.asarray(stiffness, dtype=np.float64), (count,))
+    if not (np.isfinite(factors).all() and (factors > 0).all()):
+        raise InvalidInput(f"stiffness: expected finite numbers > 0, one or one for each of {len(factors)} tets.")
+    return factors
+
+
 def check_gravity(name: str, gravity: ArrayLike) -> FloatArray:
     """(3,) float64, finite; raises InvalidInput."""
     vector = np.asarray(gravity, dtype=np.float64)
