@@ -29,7 +29,7 @@ from retarget.simulation.gradient_energy import GradientEnergy
 from retarget.simulation.materials import check_gravity, check_stiffness
 from retarget.simulation.soft_terms import NONE, Goals, Handles, SoftTerms, SoftWeights, handle_points
 from retarget.simulation.state import Bones, HeadState
-from retarget.simulation.tetrahedra import rest_shape
+from retarget.simulation.tetrahedra import rest_shape, vertex_volumes
 from retarget.types import FloatArray, SolveInfo, Status
 
 ACCEPTED = 0.1  # mm: deeper lips are not resolved
@@ -92,8 +92,7 @@ class ForwardSimulation:
         factors = check_stiffness(stiffness, len(self.shape.tets))
         weights = self.shape.volumes * np.where(template.muscle, rules.w_muscle, rules.w_soft) * factors  # eq. (18)
         self._tissue = GradientEnergy(self.shape, weights)  # eqs (A.5), (A.6)
-        corners = np.repeat(self.shape.volumes / 4, 4)
-        self._mass = np.bincount(template.tets.ravel(), corners, len(head.vertices))[:, None]  # cm^3
+        self._mass = vertex_volumes(self.shape)[:, None]
         self._fixed = template.fixed
         self._free = np.setdiff1d(np.arange(len(head.vertices)), self._fixed)
         self._lips = Lips(head.skin, template.faces, template.regions) if rules.collisions else None

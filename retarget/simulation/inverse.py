@@ -33,7 +33,7 @@ from retarget.simulation.projective_dynamics import (
 from retarget.simulation.soft_terms import Handles, handle_points
 from retarget.simulation.state import Bones, HeadState
 from retarget.simulation.surface import carried_by_skin, vertex_areas
-from retarget.simulation.tetrahedra import deformation_gradients, rest_shape
+from retarget.simulation.tetrahedra import deformation_gradients, rest_shape, vertex_volumes
 from retarget.simulation.weights import PAPER_SKIN, tet_of_weight_one
 from retarget.suggest import choose
 from retarget.types import FloatArray, Status
@@ -115,7 +115,7 @@ class InverseSimulation:
             np.concatenate(pulls) if pulls else 0.0,
             rules.solver,
         )
-        self._mass = np.bincount(template.tets.ravel(), np.repeat(self.shape.volumes / 4, 4), len(head.vertices))
+        self._mass = vertex_volumes(self.shape)
 
     def _target_weights(self) -> FloatArray:
         """w_tar of eq. (14) for each skin vertex: the paper's total, spread by area; see `weights`."""

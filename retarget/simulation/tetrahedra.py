@@ -61,6 +61,12 @@ def rest_shape(vertices: ArrayLike, tets: ArrayLike, relative: float = 1e-9) -> 
     return RestShape(t, v, inverse, volume / MM3_PER_CM3)
 
 
+def vertex_volumes(shape: RestShape) -> FloatArray:
+    """(n,) cm^3: a quarter of the tets about each vertex."""
+    quarters = np.repeat(shape.volumes / 4, 4)
+    return np.asarray(np.bincount(shape.tets.ravel(), quarters, len(shape.vertices)), dtype=np.float64)
+
+
 def deformation_gradients(shape: RestShape, vertices: FloatArray) -> FloatArray:
     """(t, 3, 3) deformation gradients F, without unit, of vertices (n, 3) mm: F maps rest edges to deformed ones."""
     gradients = np.empty((len(shape.tets), 3, 3))
