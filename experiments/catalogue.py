@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, cast
 
+from hydra import compose, initialize_config_module
+from hydra.core.global_hydra import GlobalHydra
 from hydra.utils import instantiate
-from omegaconf import OmegaConf
+from omegaconf import DictConfig
 from rich.console import Console
 from rich.table import Table
 
@@ -36,8 +40,26 @@ def make_method(name: str, **settings: Any) -> Retargeter:
 
     Raises InvalidInput for an unknown name.
     """
-    config = OmegaConf.load(CONF / "method" / f"{choose('method', name, options('method'))}.yaml")
-    return cast(Retargeter, instantiate(config, **settings))
+    return cast(Retargeter, instantiate(method_settings(choose("method", name, options("method"))), **settings))
+
+
+@cache
+def method_settings(name: str) -> DictConfig:
+    """What ``conf/method/<name>.yaml`` says, with all that it inherits from the methods in its defaults list."""
+    settings: DictConfig = composed(f"method/{name}").method[name]
+    return settings
+
+
+def composed(config_name: str, overrides: Sequence[str] = ()) -> DictConfig:
+    """A configuration as Hydra composes it; also while a Hydra application runs, which is left as it was."""
+    running = GlobalHydra.instance().hydra
+    GlobalHydra.instance().clear()
+    try:
+        with initialize_config_module("experiments.conf", version_base="1.3"):
+            return compose(config_name, list(overrides))
+    finally:
+        if running is not None:
+            GlobalHydra.instance().initialize(running)
 
 
 def print_catalogue(console: Console) -> None:

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from hydra import compose, initialize_config_module
 from hydra._internal.utils import get_args_parser
-from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 
-from experiments.catalogue import GROUPS, options
+from experiments.catalogue import GROUPS, composed, options
 from retarget.check import InvalidInput
 from retarget.io.files import check_folder
 from retarget.suggest import choose, nearest
@@ -41,7 +39,7 @@ def check_overrides(config_name: str, arguments: Sequence[str]) -> list[str]:
     for override in choices:
         for name in _chosen(override):
             choose(override.key_or_group, name, options(override.key_or_group))
-    keys = set(_keys(_composed(config_name, [_first(override) for override in choices])))
+    keys = set(_keys(composed(config_name, [_first(override) for override in choices])))
     for override in overrides:
         key = override.key_or_group
         plain = not (override.is_add() or override.is_force_add() or override.is_delete())
@@ -71,12 +69,6 @@ def _first(override: Override) -> str:
     if not override.is_sweep_override():
         return str(override.input_line)
     return f"{override.key_or_group}={next(override.sweep_string_iterator())!s}"
-
-
-def _composed(config_name: str, overrides: list[str]) -> DictConfig:
-    GlobalHydra.instance().clear()
-    with initialize_config_module("experiments.conf", version_base="1.3"):
-        return compose(config_name, overrides)
 
 
 def _keys(config: DictConfig, prefix: str = "") -> Iterator[str]:

@@ -5,24 +5,22 @@ from __future__ import annotations
 import pickle
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
-from pathlib import Path
 
-import hydra
 import numpy as np
 import pytest
-from omegaconf import OmegaConf
+import yaml
 
-import experiments.conf
+from experiments.catalogue import CONF, composed, make_method, method_settings, options
 from retarget.check import InvalidInput, UnsupportedProblem
 from retarget.types import Retargeter, RetargetProblem, RetargetResult, SolveInfo
 from tests.synthetic import problem as synthetic_problem
 
-CONFIGS = sorted((Path(experiments.conf.__file__).parent / "method").glob("*.yaml"))
+CONFIGS = sorted((CONF / "method").glob("*.yaml"))
 
 
-@pytest.fixture(params=CONFIGS, ids=lambda path: path.stem)
+@pytest.fixture(params=options("method"))
 def method(request) -> Retargeter:
-    return hydra.utils.instantiate(OmegaConf.load(request.param))
+    return make_method(request.param)
 
 
 def read_only(given: RetargetProblem) -> RetargetProblem:
@@ -60,11 +58,39 @@ def test_there_is_a_configuration_per_method():
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
 def test_configuration_names_its_package_and_says_what_it_is(path):
-    package, sentence, target, *_ = path.read_text().splitlines()
+    package, sentence, first, *_ = path.read_text().splitlines()
     assert package == f"# @package method.{path.stem}"
     assert sentence.startswith("# ")
     assert sentence.endswith(".")
-    assert target.startswith("_target_: ")
+    assert first.startswith("_target_: ") or first == "defaults:"
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
+def test_a_variant_holds_only_what_differs_from_the_method_it_names(path):
+    own = yaml.safe_load(path.read_text())
+    if "defaults" not in own:
+        return
+    inherited, itself = own.pop("defaults")
+    parent, here = inherited.split("@")
+    assert (here, itself) == ("_here_", "_self_")
+    before = method_settings(parent)
+    assert own
+    assert "_target_" not in own
+    for name, value in own.items():
+        assert name in before, f"{parent} has no setting {name}"
+        assert before[name] != value, f"{name} is the same in {parent}"
+    assert method_settings(path.stem) == {**before, **own}
+
+
+def test_a_variant_is_composed_by_its_own_name_and_in_a_study():
+    assert method_settings("plbs_paper") == {
+        **method_settings("plbs"),
+        "lambda_reg": 0.01,
+        "residual": "sum",
+        "length_mm": 10.0,
+    }
+    study = composed("run", ["method=[plbs_paper]", "method.plbs_paper.patch_count=40"])
+    assert study.method.plbs_paper == {**method_settings("plbs_paper"), "patch_count": 40}
 
 
 def test_is_a_frozen_dataclass_of_settings(method):
