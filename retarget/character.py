@@ -1,0 +1,128 @@
+"""A character as the simulation knows it: head and factors, made when first asked for and shared by all that ask."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import lru_cache
+
+import numpy as np
+
+from retarget.anatomy.boundary import signed_volumes
+from retarget.anatomy.fit import fit_head
+from retarget.anatomy.head import Head, HeadTemplate
+from retarget.anatomy.store import load_template
+from retarget.simulation.forward import ForwardSettings, ForwardSimulation
+from retarget.simulation.inverse import InverseSettings, InverseSimulation
+from retarget.types import FloatArray, IntArray, Pair, Regions
+
+KEPT_TEMPLATES = 4
+KEPT_HEADS = 8
+KEPT_SIMULATIONS = 6  # of each kind; their factors take some 100 MB each at the size `paper`
+
+
+class TetWeights(StrEnum):
+    """What the energy of a tet counts."""
+
+    VOLUME = "volume"  # differs from the paper: tets count their volume, so that the mesh does not matter
+    EQUAL = "equal"  # eqs (11), (12), (A.5), (A.6) as printed: each tet counts the same
+
+
+@dataclass(frozen=True)
+class Topology:
+    """Faces and regions, compared by content."""
+
+    digest: str
+    faces: IntArray = field(compare=False, repr=False)  # (f, 3)
+    regions: Regions = field(compare=False, repr=False)
+
+    @staticmethod
+    def of(faces: IntArray, regions: Regions) -> Topology:
+        return Topology(_digest(faces, *_arrays(regions)), faces, regions)
+
+    def template(self, size: str) -> HeadTemplate:
+        """Raises InvalidInput where none is known; see `load_template`."""
+        return _template(self, size)
+
+
+@dataclass(frozen=True)
+class Character:
+    """A neutral skin (n, 3) mm in a topology, to be simulated with the template of one size; compared by content."""
+
+    topology: Topology
+    size: str  # of the template, coarse | paper
+    digest: str
+    neutral: FloatArray = field(compare=False, repr=False)
+
+    @staticmethod
+    def of(topology: Topology, size: str, neutral: FloatArray) -> Character:
+        return Character(topology, size, _digest(neutral), neutral)
+
+    @property
+    def head(self) -> Head:
+        """fitHead of eq. (7). Raises InvalidInput as `fit_head` does."""
+        return _head(self)
+
+    def inverse(self, settings: InverseSettings, tets: TetWeights | str = TetWeights.VOLUME) -> InverseSimulation:
+        """invSim of eq. (8), factorised."""
+        return _inverse(self, settings, TetWeights(tets))
+
+    def forward(self, settings: ForwardSettings, tets: TetWeights | str = TetWeights.VOLUME) -> ForwardSimulation:
+        """fwdSim of eq. (10), factorised and condensed."""
+        return _forward(self, settings, TetWeights(tets))
+
+
+def characters(pair: Pair, size: str) -> tuple[Character, Character]:
+    """Source and target of a pair."""
+    topology = Topology.of(pair.faces, pair.regions)
+    source, target = (Character.of(topology, size, v) for v in (pair.source_neutral, pair.target_neutral))
+    return source, target
+
+
+@lru_cache(maxsize=KEPT_TEMPLATES)
+def _template(topology: Topology, size: str) -> HeadTemplate:
+    return load_template(topology.faces, topology.regions, size)
+
+
+@lru_cache(maxsize=KEPT_HEADS)
+def _head(character: Character) -> Head:
+    return fit_head(character.topology.template(character.size), character.neutral)
+
+
+@lru_cache(maxsize=KEPT_SIMULATIONS)
+def _inverse(character: Character, settings: InverseSettings, tets: TetWeights) -> InverseSimulation:
+    return InverseSimulation(character.head, settings, _stiffness(character.head, tets))
+
+
+@lru_cache(maxsize=KEPT_SIMULATIONS)
+def _forward(character: Character, settings: ForwardSettings, tets: TetWeights) -> ForwardSimulation:
+    return ForwardSimulation(character.head, settings, _stiffness(character.head, tets))
+
+
+def _stiffness(head: Head, tets: TetWeights) -> FloatArray | float:
+    """Factors (t,) on energies that count volume, which leave the sum of all weights as it is."""
+    if tets is TetWeights.VOLUME:
+        return 1.0
+    volumes = signed_volumes(head.vertices, head.template.tets)
+    equal: FloatArray = volumes.mean() / volumes
+    return equal
+
+
+def _arrays(regions: Regions) -> list[FloatArray | IntArray]:
+    """All that simulations read of regions, in an order of its own, with the names."""
+    found: list[FloatArray | IntArray] = []
+    for part in (regions.vertices, regions.loops, regions.patches, regions.landmarks):
+        for name in sorted(part):
+            found += [np.frombuffer(name.encode(), dtype=np.uint8), np.asarray(part[name], dtype=np.int64)]
+    for name in sorted(regions.points):
+        point = regions.points[name]
+        found += [np.frombuffer(name.encode(), dtype=np.uint8), point.indices, point.weights]
+    return found
+
+
+def _digest(*arrays: FloatArray | IntArray) -> str:
+    made = hashlib.sha256()
+    for array in arrays:
+        made.update(f"{array.dtype}{array.shape}".encode() + np.ascontiguousarray(array).tobytes())
+    return made.hexdigest()
