@@ -24,6 +24,8 @@ def compute(planned: Plan, backend: Backend, console: Console) -> None:
         f"{list(planned.study.n_examples)} examples x {planned.study.draws} draws = {len(planned.cells)} cells"
         + (f", {reused} of them finished earlier" if reused else "")
     )
+    for name, reason in planned.left_out.items():
+        console.print(f"metric {name} is left out: {reason}")
     console.print(f"estimated time: {_estimate(planned, missing, headers)}")
     with progress(console, "cells", len(missing)) as advance:
         for done in backend.run(evaluate_pair, planned.tasks(missing)):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ class Plan:
     rows: tuple[Row, ...]
     cells: tuple[Cell, ...]
     folder: Path
+    left_out: Mapping[str, str] = field(default_factory=dict)  # chosen metrics that cannot measure this data: reason
 
     def finished(self, cell: Cell) -> Mapping[str, Any] | None:
         """The header of a cell whose record is there and current; raises InvalidInput for an old schema."""
@@ -52,10 +53,16 @@ def plan(
     metrics: Mapping[str, tuple[Metric, Mapping[str, Any]]],
     folder: Path,
 ) -> Plan:
-    """Expand a study; `metrics` holds each metric with its settings. Raises InvalidInput if it cannot be run."""
+    """Expand a study; `metrics` holds each metric with its settings.
+
+    A metric that cannot measure the topology is left out. Raises InvalidInput if the study cannot be run.
+    """
     check_dataset(dataset)
     check_counts(len(dataset.expressions), study.test_expressions, study.n_examples)
     study.check_rows([row.name for row in methods])
+    refused = {name: metric.unsupported(dataset.regions) for name, (metric, _) in metrics.items()}
+    left_out = {name: reason for name, reason in refused.items() if reason}
+    metrics = {name: metrics[name] for name in metrics if name not in left_out}
     check_metrics(study, dataset, {name: metric for name, (metric, _) in metrics.items()})
     rows = (*methods, *(Row(name, {"reference": name}) for name in study.references))
     pairs = list(itertools.permutations(dataset.identities, 2))
@@ -82,7 +89,8 @@ def plan(
                 "frames": keep,
             }
             cells.append(Cell(digest(identity)[:20], row, source, target, n_examples, draw, keep))
-    return Plan(study, dataset, tuple(metric for metric, _ in metrics.values()), rows, tuple(cells), folder)
+    measured = tuple(metric for metric, _ in metrics.values())
+    return Plan(study, dataset, measured, rows, tuple(cells), folder, left_out)
 
 
 def check_dataset(dataset: Dataset) -> None:

@@ -93,6 +93,7 @@ def _describe(planned: Plan, config: Mapping[str, Any], started: datetime) -> di
             }
             for row in planned.rows
         ],
+        "metrics_left_out": dict(planned.left_out),
         "n_examples": list(study.n_examples),
         "draws": study.draws,
         "identities": list(dataset.identities),

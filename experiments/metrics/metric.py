@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from retarget.check import InvalidInput
@@ -37,9 +37,19 @@ class Measurement:
 class Metric(ABC):
     """A frozen dataclass of settings that Hydra makes from ``conf/metric/*.yaml``."""
 
+    def unsupported(self, regions: Regions) -> str | None:
+        """The reason why this metric cannot measure a topology, or None: a study then leaves it out and says so."""
+        return None
+
     @abstractmethod
     def __call__(self, comparison: Comparison) -> Iterator[Measurement]:
         """Measure every frame."""
+
+
+def lacking(kind: str, names: Iterable[str], known: Container[str]) -> str | None:
+    """The reason of a metric that needs parts of a topology (a field of `Regions`) which it does not name."""
+    missing = [name for name in names if name not in known]
+    return f"the regions of this dataset name no {kind} {', '.join(missing)}" if missing else None
 
 
 def region_vertices(regions: Regions, names: Sequence[str]) -> Iterator[tuple[str, IntArray]]:

@@ -17,6 +17,7 @@ from rich.console import Console
 from experiments import plan as plan_module
 from experiments.backend import Backend, Joblib, Serial
 from experiments.compute import compute
+from experiments.metrics.eye_aperture import EyeAperture
 from experiments.metrics.metric import Comparison, Measurement, Metric
 from experiments.metrics.vertex_l2 import VertexL2
 from experiments.plan import Plan, plan
@@ -307,6 +308,15 @@ def test_a_metric_that_does_not_work_is_found_before_anything_is_computed(tmp_pa
         plan(STUDY, toy(), rows, {**METRIC, "broken": (Broken(), {})}, tmp_path)
     with pytest.raises(InvalidInput, match="region 'chin'"):
         plan(STUDY, toy(), rows, {"vertex_l2": (VertexL2(["mean"], ["head", "chin"]), {})}, tmp_path)
+
+
+def test_a_metric_that_this_topology_cannot_serve_is_left_out_with_its_reason(tmp_path: Path) -> None:
+    rows = [Row("delta", {}, Delta())]
+    eyes = EyeAperture(["eye_opening_left"])
+    made = plan(STUDY, toy(), rows, {**METRIC, "eye_aperture": (eyes, {"openings": ["eye_opening_left"]})}, tmp_path)
+    assert made.left_out == {"eye_aperture": "the regions of this dataset name no patches eye_opening_left"}
+    assert made.metrics == (METRIC["vertex_l2"][0],)
+    assert [cell.id for cell in made.cells] == [cell.id for cell in plan(STUDY, toy(), rows, METRIC, tmp_path).cells]
 
 
 @dataclass(frozen=True)
