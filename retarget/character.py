@@ -6,8 +6,10 @@ import hashlib
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from retarget.anatomy.boundary import signed_volumes
 from retarget.anatomy.fit import fit_head
@@ -109,19 +111,23 @@ def _stiffness(head: Head, tets: TetWeights) -> FloatArray | float:
     return equal
 
 
-def _arrays(regions: Regions) -> list[FloatArray | IntArray]:
+def _arrays(regions: Regions) -> list[NDArray[Any]]:
     """All that simulations read of regions, in an order of its own, with the names."""
-    found: list[FloatArray | IntArray] = []
+    found: list[NDArray[Any]] = []
     for part in (regions.vertices, regions.loops, regions.patches, regions.landmarks):
         for name in sorted(part):
-            found += [np.frombuffer(name.encode(), dtype=np.uint8), np.asarray(part[name], dtype=np.int64)]
+            found += [_text(name), np.asarray(part[name], dtype=np.int64)]
     for name in sorted(regions.points):
         point = regions.points[name]
-        found += [np.frombuffer(name.encode(), dtype=np.uint8), point.indices, point.weights]
+        found += [_text(name), point.indices, point.weights]
     return found
 
 
-def _digest(*arrays: FloatArray | IntArray) -> str:
+def _text(name: str) -> NDArray[Any]:
+    return np.frombuffer(name.encode(), dtype=np.uint8)
+
+
+def _digest(*arrays: NDArray[Any]) -> str:
     made = hashlib.sha256()
     for array in arrays:
         made.update(f"{array.dtype}{array.shape}".encode() + np.ascontiguousarray(array).tobytes())

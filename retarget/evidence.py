@@ -38,7 +38,7 @@ class Evidence:
             Pair(pair.faces, pair.target_neutral, pair.target_neutral, replace(regions, loops={}))
         )
         self._contour: IntArray = np.asarray(regions.loops.get("lip_contour", ()), dtype=np.int64)
-        self._sides = {
+        self._sides: dict[tuple[str, ...], list[IntArray]] = {
             names: [regions.patches[name] for name in names if name in regions.patches]
             for names in (EYE_OPENINGS, EYE_SOCKETS)
         }
