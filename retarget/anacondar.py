@@ -20,6 +20,7 @@ import numpy as np
 
 from retarget.anatomical_transfer import AnatomicalTransfer, AnatomySettings, Carried, Carrier, joined, without_template
 from retarget.check import check_frames, check_no_edits
+from retarget.embedding import embed_examples
 from retarget.evidence import Evidence
 from retarget.geometry.patches import contiguous_patches
 from retarget.rig.blendshapes import BlendshapeTransfer, Patches, Residual, Ridge
@@ -106,7 +107,6 @@ class _Prepared:
         pair = self.pair
         back = Pair(pair.faces, pair.target_neutral, pair.source_neutral, pair.regions)
         adt = AnatomicalTransfer(back, self.rules)
-        from retarget.embedding import embed_examples
 
         return embed_examples(target_examples, animation, pair.source_neutral, self.patches, self.rules.ridge, adt)
 
