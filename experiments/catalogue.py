@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import Any, cast
 from hydra import compose, initialize_config_module
 from hydra.core.global_hydra import GlobalHydra
 from hydra.utils import instantiate
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.table import Table
 
@@ -40,14 +40,17 @@ def make_method(name: str, **settings: Any) -> Retargeter:
 
     Raises InvalidInput for an unknown name.
     """
-    return cast(Retargeter, instantiate(method_settings(choose("method", name, options("method"))), **settings))
+    return cast(Retargeter, instantiate(method_settings(name), **settings))
 
 
 @cache
-def method_settings(name: str) -> DictConfig:
-    """What ``conf/method/<name>.yaml`` says, with all that it inherits from the methods in its defaults list."""
-    settings: DictConfig = composed(f"method/{name}").method[name]
-    return settings
+def method_settings(name: str) -> Mapping[str, Any]:
+    """What ``conf/method/<name>.yaml`` says, with all that it inherits from the methods in its defaults list.
+
+    Raises InvalidInput for an unknown name.
+    """
+    choose("method", name, options("method"))
+    return cast(Mapping[str, Any], OmegaConf.to_container(composed(f"method/{name}").method[name]))
 
 
 def composed(config_name: str, overrides: Sequence[str] = ()) -> DictConfig:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from experiments.correspondence import Known, correspondence
+from experiments.correspondence import CORRESPONDENCES, Correspondence, Found, Known
 from experiments.memory import peak_memory_mb
 from experiments.metrics.metric import Comparison, Measurement, Metric
 from experiments.protocol import Draw, draw
@@ -40,6 +40,7 @@ class Cell:
 
     id: str
     row: Row
+    correspondence: str
     source: str
     target: str
     n_examples: int
@@ -63,7 +64,8 @@ class PairTask:
 class _Case:
     """What one draw and example count ask of every method."""
 
-    problem: RetargetProblem
+    problem: RetargetProblem  # its source examples are still to be filled in
+    known: Known
     source: FloatArray  # (t, n, 3) mm, to be retargeted
     truth: FloatArray  # (t, n, 3) mm, never shown to a method
     expressions: tuple[str, ...]
@@ -72,6 +74,7 @@ class _Case:
 @dataclass(frozen=True)
 class _Answer:
     result: RetargetResult
+    found: Found
     fit_seconds: float
     seconds_per_expression: float
 
@@ -86,27 +89,30 @@ def evaluate_pair(task: PairTask) -> int:
     source = _Performer(task.dataset, first.source)
     target = _Performer(task.dataset, first.target)
     pair = Pair(task.dataset.faces, source.neutral, target.neutral, task.dataset.regions)
+    asked = {cell.correspondence for cell in task.cells}
+    found = {name: make(pair, task.study.embedding) for name, make in CORRESPONDENCES.items() if name in asked}
     for row, cells in _by_row(task.cells):
         prepared, prepare_seconds, failure = _prepare(row, pair)
         for cell in cells:
             case = _case(task.study, cell, pair, source, target)
-            header = {"prepare_seconds": prepare_seconds, "fit_seconds": None, "seconds_per_expression": None}
             answer: _Answer | None = None
             status, reason = "failed", failure
             if failure is None:
                 try:
-                    answer = _answer(row, prepared, case)
+                    answer = _answer(row, prepared, case, found[cell.correspondence])
                     status, reason = _verdict(answer.result)
-                    header |= {
-                        "fit_seconds": answer.fit_seconds,
-                        "seconds_per_expression": answer.seconds_per_expression,
-                    }
                 except _Refused as refusal:
                     status, reason = "unsupported", str(refusal)
                 except Exception as error:  # a method's failure is a result of the study, never its end
                     status, reason = "failed", f"{type(error).__name__}: {error}"
+            timings = {
+                "prepare_seconds": prepare_seconds,
+                "correspondence_seconds": answer and answer.found.seconds,
+                "fit_seconds": answer and answer.fit_seconds,
+                "seconds_per_expression": answer and answer.seconds_per_expression,
+            }
             usable = answer if status in ("ok", "not_converged") else None
-            _record(task, cell, case, pair, usable, status, reason, header)
+            _record(task, cell, case, pair, usable, status, reason, timings)
     return len(task.cells)
 
 
@@ -132,17 +138,24 @@ class _Performer:
 def _case(study: Study, cell: Cell, pair: Pair, source: _Performer, target: _Performer) -> _Case:
     drawn: Draw = draw(cell.source, cell.target, cell.draw, len(source.names), study.test_expressions, study.seed)
     examples = drawn.examples(cell.n_examples)
-    known = Known(source_examples=source.perform(examples))
+    five = study.span == "five"
+    known = Known(
+        names=tuple(source.names[i] for i in examples),
+        source_examples=source.perform(examples),
+        target_examples=target.perform(examples),
+        animation=source.perform(drawn.test) if five else source.performance,
+        span=f"draw {cell.draw}" if five else "animation",
+    )
     return _Case(
         problem=RetargetProblem(
             faces=pair.faces,
             source_neutral=pair.source_neutral,
             target_neutral=pair.target_neutral,
-            source_animation=source.perform(drawn.test) if study.span == "five" else source.performance,
-            target_examples=target.perform(examples),
-            source_examples=correspondence(study.correspondence)(known),
+            source_animation=known.animation,
+            target_examples=known.target_examples,
             regions=pair.regions,
         ),
+        known=known,
         source=source.perform(drawn.test),
         truth=target.perform(drawn.test),
         expressions=tuple(source.names[i] for i in drawn.test),
@@ -159,21 +172,35 @@ def _prepare(row: Row, pair: Pair) -> tuple[Prepared | PreparedReference | None,
     return prepared, time.perf_counter() - start, None
 
 
-def _answer(row: Row, prepared: Prepared | PreparedReference | None, case: _Case) -> _Answer:
-    if reason := row.method.unsupported(case.problem) if row.method else None:
-        raise _Refused(reason)
-    start = time.perf_counter()
-    if isinstance(prepared, Prepared):
-        fitted = prepared.fit(case.problem.examples, case.problem.source_animation)
+def _answer(
+    row: Row, prepared: Prepared | PreparedReference | None, case: _Case, correspondence: Correspondence
+) -> _Answer:
+    if row.method is None:
+        assert not isinstance(prepared, Prepared)
+        assert prepared is not None  # a failed preparation never comes here
+        start = time.perf_counter()
+        frames = prepared(case.problem.target_examples, case.truth)
+        found, fitted_at = Found(case.known.source_examples), start
+        result = RetargetResult(frames, (SolveInfo(),) * len(frames))
+    else:
+        assert isinstance(prepared, Prepared)
+        found = _found(correspondence, case.known)
+        problem = replace(case.problem, source_examples=found.examples)
+        if reason := row.method.unsupported(problem):
+            raise _Refused(reason)
+        start = time.perf_counter()
+        fitted = prepared.fit(problem.examples, problem.source_animation)
         fitted_at = time.perf_counter()
         result = fitted(case.source)
-    else:
-        assert prepared is not None  # a failed preparation never comes here
-        fitted_at = start
-        frames = prepared(case.problem.target_examples, case.truth)
-        result = RetargetResult(frames, (SolveInfo(),) * len(frames))
     done = time.perf_counter()
-    return _Answer(_checked(result, case), fitted_at - start, (done - fitted_at) / max(len(case.source), 1))
+    return _Answer(_checked(result, case), found, fitted_at - start, (done - fitted_at) / max(len(case.source), 1))
+
+
+def _found(correspondence: Correspondence, known: Known) -> Found:
+    try:
+        return correspondence(known)
+    except InvalidInput as error:
+        raise _Refused(f"no source examples: {error}") from error
 
 
 def _checked(result: RetargetResult, case: _Case) -> RetargetResult:
@@ -219,6 +246,7 @@ def _record(
         "settings": dict(cell.row.settings),
         "prediction": None if answer is None else hashlib.sha256(np.ascontiguousarray(frames).tobytes()).hexdigest(),
         "solves": [] if answer is None else [_solve(info) for info in answer.result.info],
+        "correspondence_solves": [] if answer is None else [_solve(info) for info in answer.found.solves],
         "directions": {measurement.metric: measurement.direction for measurement in measurements},
         "peak_memory_mb": peak_memory_mb(),
         **{key: value if value is None or np.isfinite(value) else None for key, value in timings.items()},
@@ -257,7 +285,7 @@ def _rows(
         "target": cell.target,
         "n_examples": cell.n_examples,
         "draw": cell.draw,
-        "correspondence": task.study.correspondence,
+        "correspondence": cell.correspondence,
         "status": status,
     }
     columns = varying | {name: [value] * count for name, value in constant.items()}

@@ -71,24 +71,27 @@ def plan(
         "conditions": asdict(dataset.conditions),
         "seed": study.seed,
         "test_expressions": study.test_expressions,
-        "correspondence": study.correspondence,
         "span": study.span,
         "metrics": {name: dict(settings) for name, (_, settings) in metrics.items()},
     }
     cells = []
     for number, (source, target) in enumerate(pairs):
-        for row, n_examples, draw in itertools.product(rows, study.n_examples, range(study.draws)):
+        for row, correspondence, n_examples, draw in itertools.product(
+            rows, study.correspondence, study.n_examples, range(study.draws)
+        ):
             keep = number < study.figures.pairs and draw < study.figures.draws
             identity = {
                 "protocol": protocol,
                 "row": row.name,
                 "settings": dict(row.settings),
+                "correspondence": correspondence,
+                "embedding": dict(study.embedding.facts) if study.embedding and correspondence == "embedded" else None,
                 "pair": [source, target],
                 "n_examples": n_examples,
                 "draw": draw,
                 "frames": keep,
             }
-            cells.append(Cell(digest(identity)[:20], row, source, target, n_examples, draw, keep))
+            cells.append(Cell(digest(identity)[:20], row, correspondence, source, target, n_examples, draw, keep))
     measured = tuple(metric for metric, _ in metrics.values())
     return Plan(study, dataset, measured, rows, tuple(cells), folder, left_out)
 

@@ -16,14 +16,13 @@ from experiments.metrics.metric import Metric
 from experiments.plan import plan
 from experiments.progress import print_path
 from experiments.runtime import RuntimeStudy, measure
-from experiments.study import Row, Study
+from experiments.study import Study
 from experiments.tables import collect, write_tables
 from reports.report import build_report
 from reports.terminal import print_summary
 from retarget.check import InvalidInput
 from retarget.io.files import check_folder
 from retarget.suggest import choose
-from retarget.types import Retargeter
 from synth_data.dataset import Dataset
 
 
@@ -36,7 +35,7 @@ def run(config: DictConfig, folder: Path, console: Console) -> None:
 def _compare(config: DictConfig, folder: Path, console: Console) -> None:
     started = datetime.now(UTC)
     study = Study.from_config(_study(config))
-    methods = [Row(name, settings, _method(name, settings)) for name, settings in _chosen(config, "method")]
+    methods = study.rows(dict(_chosen(config, "method")))
     study.check_rows([row.name for row in methods])
     metrics = {name: (cast(Metric, instantiate(settings)), settings) for name, settings in _chosen(config, "metric")}
     dataset = _dataset(config, console)
@@ -73,15 +72,6 @@ def _chosen(config: DictConfig, group: str) -> Iterator[tuple[str, Mapping[str, 
     if not chosen:
         raise InvalidInput(f"{group}: expected at least one, got none; choose with '{group}=[NAME,NAME]'.")
     yield from _plain(chosen).items()
-
-
-def _method(name: str, settings: Mapping[str, Any]) -> Retargeter:
-    method = instantiate(settings)
-    if not isinstance(method, Retargeter):
-        raise InvalidInput(
-            f"method {name}: {settings.get('_target_')} makes a {type(method).__name__}, expected a Retargeter."
-        )
-    return method
 
 
 def _plain(node: DictConfig) -> dict[str, Any]:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
-from experiments.catalogue import options
-from experiments.correspondence import correspondence
+from hydra.utils import instantiate
+
+from experiments.catalogue import method_settings, options, sentence
+from experiments.correspondence import CORRESPONDENCES, EmbeddingSettings
 from experiments.references import REFERENCES
 from retarget.check import InvalidInput
 from retarget.suggest import choose
@@ -35,7 +37,7 @@ class Study:
     n_examples: tuple[int, ...]
     draws: int
     test_expressions: int
-    correspondence: str
+    correspondence: tuple[str, ...]
     span: str
     references: tuple[str, ...]
     reference: str
@@ -43,12 +45,16 @@ class Study:
     primary_region: str
     primary_family: tuple[str, ...]
     figures: Figures = field(default_factory=Figures)
+    embedding: EmbeddingSettings | None = None  # of the correspondence `embedded`
+    variants: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # row -> {of: method, setting: value}
 
     @staticmethod
     def from_config(config: Mapping[str, Any]) -> Study:
         """Raises InvalidInput for a value that no study can have."""
         values = dict(config)
-        for key in ("n_examples", "references", "primary_family"):
+        if isinstance(values["correspondence"], str):
+            values["correspondence"] = [values["correspondence"]]
+        for key in ("correspondence", "n_examples", "references", "primary_family"):
             if not isinstance(values[key], list):
                 raise InvalidInput(f"study.{key}: expected a list such as [5,15], got {values[key]!r}.")
             values[key] = tuple(values[key])
@@ -59,13 +65,20 @@ class Study:
             _whole("study.n_examples", count, 0)
         for key in ("pairs", "draws"):
             _whole(f"study.figures.{key}", getattr(figures, key), 0)
+        for name in values["correspondence"]:
+            choose("study.correspondence", name, CORRESPONDENCES)
+        if not values["correspondence"] or len(set(values["correspondence"])) < len(values["correspondence"]):
+            raise InvalidInput(f"study.correspondence: expected different ones, got {values['correspondence']}.")
+        embedding = values.pop("embedding", None)
+        if "embedded" in values["correspondence"] and embedding is not None:
+            values["embedding"] = EmbeddingSettings.from_config(embedding)
         study = Study(**values, figures=figures)
-        correspondence(study.correspondence)
+        rows = [*options("method"), *study.variants]
         choose("study.span", study.span, SPANS)
         for name in study.references:
             choose("study.references", name, REFERENCES)
         for name in (study.reference, *study.primary_family):
-            choose("study.primary_family" if name != study.reference else "study.reference", name, options("method"))
+            choose("study.primary_family" if name != study.reference else "study.reference", name, rows)
         if not study.n_examples or len(set(study.n_examples)) < len(study.n_examples):
             raise InvalidInput(f"study.n_examples: expected different counts, got {list(study.n_examples)}.")
         return study
@@ -77,6 +90,36 @@ class Study:
                 f"study.reference: every row is compared with '{self.reference}', which is not among the chosen "
                 f"methods {', '.join(methods)}. Add it to method=[...], or set study.reference={methods[0]}."
             )
+
+    def rows(self, methods: Mapping[str, Mapping[str, Any]]) -> tuple[Row, ...]:
+        """The chosen methods, given with their settings, then the variants. Raises InvalidInput where one cannot be."""
+        chosen = [Row(name, settings, _method(name, settings)) for name, settings in methods.items()]
+        return (*chosen, *(self._variant(name, dict(changes), methods) for name, changes in self.variants.items()))
+
+    def _variant(self, name: str, changes: dict[str, Any], methods: Mapping[str, Mapping[str, Any]]) -> Row:
+        """The row of `study.variants.<name>`: a chosen method, or another one, with some settings changed."""
+        where = f"study.variants.{name}"
+        if name in options("method") or name in REFERENCES:
+            raise InvalidInput(f"{where}: there is a row of this name already; choose another.")
+        if "of" not in changes:
+            raise InvalidInput(f"{where}: expected 'of', the name of a method, and settings; got {changes}.")
+        of = choose(f"{where}.of", changes.pop("of"), options("method"))
+        before = methods[of] if of in methods else method_settings(of)
+        known = [field.name for field in fields(_method(of, before))]  # type: ignore[arg-type]
+        for setting in changes:
+            choose(f"{where}, setting of {of}", setting, known)
+        settings = {**before, **changes}
+        said = ", ".join(f"{setting} = {value}" for setting, value in changes.items())
+        return Row(name, settings, _method(name, settings), f"{of} with {said}." if said else sentence("method", of))
+
+
+def _method(name: str, settings: Mapping[str, Any]) -> Retargeter:
+    method = instantiate(settings)
+    if not isinstance(method, Retargeter):
+        raise InvalidInput(
+            f"method {name}: {settings.get('_target_')} makes a {type(method).__name__}, expected a Retargeter."
+        )
+    return method
 
 
 def _whole(name: str, value: object, least: int) -> None:
@@ -91,3 +134,4 @@ class Row:
     name: str
     settings: Mapping[str, Any]  # plain data: what decides the row's numbers besides code and data
     method: Retargeter | None = None
+    description: str = ""  # a sentence

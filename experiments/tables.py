@@ -20,6 +20,8 @@ from reports.summary import summarise
 from retarget.check import InvalidInput
 from retarget.io.files import write_whole
 
+SECONDS = ("prepare_seconds", "correspondence_seconds", "fit_seconds", "seconds_per_expression")
+
 
 def collect(planned: Plan) -> tuple[pd.DataFrame, pd.DataFrame]:
     """(metrics, cells): every planned cell read back, in the plan's order."""
@@ -39,9 +41,9 @@ def collect(planned: Plan) -> tuple[pd.DataFrame, pd.DataFrame]:
                 "n_examples": cell.n_examples,
                 "draw": cell.draw,
                 **vars(planned.dataset.conditions),
-                "correspondence": planned.study.correspondence,
+                "correspondence": cell.correspondence,
                 **{key: header[key] for key in ("status", "reason", "prediction")},
-                **{key: _number(header[key]) for key in ("prepare_seconds", "fit_seconds", "seconds_per_expression")},
+                **{key: _number(header[key]) for key in SECONDS},
                 "peak_memory_mb": header["peak_memory_mb"],
             }
         )
@@ -126,7 +128,9 @@ def _kind(row: Row) -> str:
 
 
 def _description(row: Row) -> str:
-    return sentence("method", row.name) if row.method else (REFERENCES[row.name].__doc__ or "")
+    if row.method is None:
+        return REFERENCES[row.name].__doc__ or ""
+    return row.description or sentence("method", row.name)
 
 
 def _number(value: float | None) -> float:

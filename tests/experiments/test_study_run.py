@@ -4,26 +4,31 @@ from __future__ import annotations
 
 import io
 import os
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from hydra.errors import InstantiationException
 from rich.console import Console
 
 from experiments import plan as plan_module
 from experiments.backend import Backend, Joblib, Serial
+from experiments.catalogue import method_settings
 from experiments.compute import compute
+from experiments.correspondence import Embedded, EmbeddingSettings, Known
 from experiments.metrics.eye_aperture import EyeAperture
 from experiments.metrics.metric import Comparison, Measurement, Metric
 from experiments.metrics.vertex_l2 import VertexL2
 from experiments.plan import Plan, plan
 from experiments.record import FRAMES, RECORD
 from experiments.study import Figures, Row, Study
-from experiments.tables import collect
+from experiments.tables import _describe, collect
 from reports.cells import METRIC_COLUMNS
 from retarget.check import InvalidInput
 from retarget.io.files import check_folder
@@ -47,7 +52,7 @@ STUDY = Study(
     n_examples=(2, 5),
     draws=2,
     test_expressions=3,
-    correspondence="given",
+    correspondence=("given",),
     span="animation",
     references=("neutral", "projection_bound"),
     reference="delta",
@@ -256,6 +261,9 @@ def test_data_that_no_study_can_use_is_refused_before_anything_runs(tmp_path: Pa
 
 
 CONFIG: dict[str, Any] = {**vars(STUDY), "n_examples": [2, 5], "references": ["neutral"], "primary_family": ["plbs"]}
+CONFIG |= {"correspondence": "given"}
+EMBEDDING = {"transfer": "gradient_transfer", "patch_count": None, "lambda_reg": 1e-6, "seed": 0}
+EMBEDDED = {"correspondence": "embedded", "embedding": EMBEDDING}
 CONFIG |= {"reference": "delta", "figures": {"pairs": 0, "draws": 0}}
 
 
@@ -272,6 +280,16 @@ CONFIG |= {"reference": "delta", "figures": {"pairs": 0, "draws": 0}}
         ({"draws": "two"}, "study.draws"),
         ({"seed": -1}, "study.seed"),
         ({"correspondence": "givn"}, "Did you mean 'given'"),
+        ({"correspondence": ["given", "embeded"]}, "Did you mean 'embedded'"),
+        ({"correspondence": ["given", "given"]}, "study.correspondence: expected different ones"),
+        (
+            {"correspondence": "embedded", "embedding": {**EMBEDDING, "transfer": "dt"}},
+            "study.embedding.transfer: 'dt'",
+        ),
+        (
+            {"correspondence": "embedded", "embedding": {**EMBEDDING, "lambda_reg": 0}},
+            "lambda_reg: expected a positive",
+        ),
         ({"span": "all"}, "study.span: 'all' is unknown"),
         ({"references": ["neutrl"]}, "Did you mean 'neutral'"),
         ({"primary_family": ["lbz"]}, "study.primary_family: 'lbz' is unknown, .* Did you mean 'lbs'"),
@@ -355,3 +373,105 @@ def test_a_results_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> N
     assert (tmp_path / "results").read_text() == "somebody's file"
     check_folder(tmp_path / "fine")
     assert list((tmp_path / "fine").iterdir()) == []
+
+
+PLBS = {**method_settings("plbs"), "patch_count": 12}
+
+
+def test_a_variant_is_a_row_with_some_settings_changed(tmp_path: Path) -> None:
+    variants = {
+        "stiff": {"of": "plbs", "lambda_reg": 1.0},
+        "paper": {"of": "plbs_paper", "patch_count": 9},
+        "same": {"of": "plbs"},
+    }
+    study = Study.from_config(CONFIG | {"variants": variants, "reference": "plbs", "primary_family": ["stiff"]})
+    rows = {row.name: row for row in study.rows({"plbs": PLBS})}
+    assert list(rows) == ["plbs", "stiff", "paper", "same"]
+    assert rows["stiff"].settings == {**PLBS, "lambda_reg": 1.0}  # of the method as it was chosen
+    assert rows["paper"].settings == {**method_settings("plbs_paper"), "patch_count": 9}
+    assert rows["stiff"].description == "plbs with lambda_reg = 1.0."
+    made = plan(study, toy(), list(rows.values()), METRIC, tmp_path)
+    metrics, cells = run(made)
+    error = metrics[metrics["region"] == "head"].groupby("method")["value"].mean()
+    assert error["stiff"] > error["plbs"] == error["same"]
+    assert cells["cell"].is_unique
+    description = {m["name"]: m for m in _describe(made, {"backend": {"threads": 1}}, datetime.now(UTC))["methods"]}
+    assert description["stiff"]["description"] == "plbs with lambda_reg = 1.0."
+    assert description["stiff"]["settings"]["lambda_reg"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("variants", "words"),
+    [
+        ({"soft": {"of": "plbz"}}, r"study\.variants\.soft\.of: 'plbz' is unknown, .* Did you mean 'plbs'"),
+        ({"soft": {"of": "plbs", "lambda": 1}}, "study.variants.soft, setting of plbs: 'lambda' .* 'lambda_reg'"),
+        ({"soft": {"of": "plbs", "lambda_reg": -1}}, "lambda_reg: expected a positive number"),
+        ({"soft": {"lambda_reg": 1}}, "study.variants.soft: expected 'of'"),
+        ({"lbs": {"of": "plbs"}}, "study.variants.lbs: there is a row of this name already"),
+        ({"neutral": {"of": "plbs"}}, "study.variants.neutral: there is a row"),
+    ],
+)
+def test_variants_that_cannot_be_are_refused(variants: dict[str, Any], words: str) -> None:
+    with pytest.raises((InvalidInput, InstantiationException)) as raised:
+        Study.from_config(CONFIG | {"variants": variants}).rows({"plbs": PLBS})
+    assert re.search(words, str(raised.value.__cause__ or raised.value))
+
+
+BOTH = CONFIG | {"correspondence": ["given", "embedded"], "embedding": EMBEDDING, "reference": "plbs"}
+
+
+def test_given_and_embedded_examples_stand_side_by_side(tmp_path: Path) -> None:
+    study = Study.from_config(BOTH)
+    rows = study.rows({"plbs": PLBS})
+    metrics, cells = run(plan(study, toy(), rows, METRIC, tmp_path / "both"))
+    head = metrics[(metrics["region"] == "head") & (metrics["method"] == "plbs")]
+    error = head.groupby(["correspondence", "n_examples"])["value"].mean()
+    assert (error["embedded"] > error["given"]).all()
+    neutral = metrics[metrics["method"] == "neutral"].groupby("correspondence")["value"].mean()
+    assert neutral["given"] == neutral["embedded"]
+    seconds = cells[cells["method"] == "plbs"].groupby("correspondence")["correspondence_seconds"]
+    assert seconds.max()["given"] == 0 < seconds.min()["embedded"]
+    alone, _ = run(plan(replace(study, correspondence=("embedded",)), toy(), rows, METRIC, tmp_path / "alone"))
+    both = metrics[metrics["correspondence"] == "embedded"].reset_index(drop=True)
+    pd.testing.assert_frame_equal(alone, both)
+
+
+def test_embedded_examples_are_the_same_in_whatever_order_they_are_asked_for() -> None:
+    data = toy()
+    pair = Pair(data.faces, data.neutral("a"), data.neutral("b"), data.regions)
+    settings = EmbeddingSettings.from_config(EMBEDDING | {"patch_count": 12})
+    source, target = (data.frames(name, range(40)) for name in "ab")
+
+    def known(*indices: int) -> Known:
+        i = list(indices)
+        return Known(tuple(data.expressions[j] for j in i), source[i], target[i], source)
+
+    one, other = Embedded(pair, settings), Embedded(pair, settings)
+    first = one(known(3, 4, 5))
+    other(known(5))
+    again = other(known(3, 4, 5))
+    assert again.examples.tobytes() == first.examples.tobytes()
+    assert len(again.solves) == 3
+    assert one(known()).examples.shape == (0, 642, 3)
+    twin = Embedded(replace(pair, target_neutral=pair.source_neutral), settings)
+    np.testing.assert_allclose(twin(replace(known(3, 4), target_examples=source[3:5])).examples, source[3:5], atol=1e-2)
+
+
+def test_an_embedding_that_fails_is_a_reason_and_leaves_the_references_alone(tmp_path: Path) -> None:
+    study = Study.from_config(BOTH)
+    broken = replace(study, embedding=EmbeddingSettings(Delta("prepare"), None, 1e-6))
+    _, cells = run(plan(broken, toy(), broken.rows({"plbs": PLBS}), METRIC, tmp_path / "broken"))
+    status = cells.groupby(["method", "correspondence"])["status"].unique().map(set)
+    assert status["plbs", "embedded"] == {"failed"}
+    assert status["plbs", "given"] == status["neutral", "embedded"] == {"ok"}
+    unable = replace(study, embedding=EmbeddingSettings(Unable(), None, 1e-6))
+    _, cells = run(plan(unable, toy(), unable.rows({"plbs": PLBS}), METRIC, tmp_path / "unable"))
+    refused = cells[(cells["method"] == "plbs") & (cells["correspondence"] == "embedded")]
+    assert set(refused["status"]) == {"unsupported"}
+    assert set(refused["reason"]) == {"no source examples: no head can be made of it"}
+
+
+@dataclass(frozen=True)
+class Unable(Retargeter):
+    def prepare(self, pair: Pair) -> DeltaPrepared:
+        raise InvalidInput("no head can be made of it")
