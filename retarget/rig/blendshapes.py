@@ -81,7 +81,7 @@ class Blendshapes:
         """Eqs (1) and (3): frames (t, n, 3) in mm from weights (t, k) for each patch."""
         frames = np.empty((len(weights[0]), *self.neutral.shape))
         for patch, deltas, w in zip(self.patches, self.deltas, weights, strict=True):
-            frames[:, patch] = self.neutral[patch] + (w @ deltas).reshape(len(w), -1, 3)
+            frames[:, patch] = self.neutral[patch] + (w @ deltas).reshape(len(w), len(patch), 3)
         return frames
 
 
