@@ -12,6 +12,7 @@ import yaml
 
 from experiments.catalogue import CONF, composed, make_method, method_settings, options
 from retarget.check import InvalidInput, UnsupportedProblem
+from retarget.simulation.characteristics import LipForm
 from retarget.types import Retargeter, RetargetProblem, RetargetResult, SolveInfo
 from tests.conformance.box import box_problem, heads_are_boxes
 from tests.synthetic import problem as synthetic_problem
@@ -120,7 +121,11 @@ def test_shapes_dtypes_and_one_verdict_per_frame(method, problem, frames):
 
 def test_neutral_maps_to_neutral(method, problem):
     result = method.retarget(problem, problem.source_neutral[None])
-    np.testing.assert_allclose(result.frames[0], problem.target_neutral, atol=1e-6)  # a solver stops short of 0
+    missed = np.linalg.norm(result.frames[0] - problem.target_neutral, axis=1).max()
+    if getattr(method, "lips", None) == LipForm.PRINTED:
+        assert 1e-3 < missed < 1.0, "eq. (16) as printed moves the neutral's lips"
+    else:
+        assert missed < 1e-6  # mm; a solver stops short of 0
 
 
 def test_source_as_target_gives_the_source_where_claimed(method, problem, frames):
