@@ -17,7 +17,10 @@ from retarget.anatomy.head import Head, HeadTemplate
 from retarget.anatomy.store import load_template
 from retarget.simulation.forward import ForwardSettings, ForwardSimulation
 from retarget.simulation.inverse import InverseSettings, InverseSimulation
+from retarget.simulation.materials import region_stiffness
 from retarget.types import FloatArray, IntArray, Pair, Regions
+
+RegionFactors = tuple[tuple[str, float], ...]  # factors > 0 by region
 
 KEPT_TEMPLATES = 4
 KEPT_HEADS = 8
@@ -66,13 +69,17 @@ class Character:
         """fitHead of eq. (7). Raises InvalidInput as `fit_head` does."""
         return _head(self)
 
-    def inverse(self, settings: InverseSettings, tets: TetWeights | str = TetWeights.VOLUME) -> InverseSimulation:
-        """invSim of eq. (8), factorised."""
-        return _inverse(self, settings, TetWeights(tets))
+    def inverse(
+        self, settings: InverseSettings, tets: TetWeights | str = TetWeights.VOLUME, stiffness: RegionFactors = ()
+    ) -> InverseSimulation:
+        """invSim of eq. (8), factorised. stiffness: see `region_stiffness`."""
+        return _inverse(self, settings, TetWeights(tets), stiffness)
 
-    def forward(self, settings: ForwardSettings, tets: TetWeights | str = TetWeights.VOLUME) -> ForwardSimulation:
-        """fwdSim of eq. (10), factorised and condensed."""
-        return _forward(self, settings, TetWeights(tets))
+    def forward(
+        self, settings: ForwardSettings, tets: TetWeights | str = TetWeights.VOLUME, stiffness: RegionFactors = ()
+    ) -> ForwardSimulation:
+        """fwdSim of eq. (10), factorised and condensed. stiffness: see `region_stiffness`."""
+        return _forward(self, settings, TetWeights(tets), stiffness)
 
 
 def characters(pair: Pair, size: str) -> tuple[Character, Character]:
@@ -93,21 +100,26 @@ def _head(character: Character) -> Head:
 
 
 @lru_cache(maxsize=KEPT_SIMULATIONS)
-def _inverse(character: Character, settings: InverseSettings, tets: TetWeights) -> InverseSimulation:
-    return InverseSimulation(character.head, settings, _stiffness(character.head, tets))
+def _inverse(
+    character: Character, settings: InverseSettings, tets: TetWeights, stiffness: RegionFactors
+) -> InverseSimulation:
+    return InverseSimulation(character.head, settings, _stiffness(character.head, tets, stiffness))
 
 
 @lru_cache(maxsize=KEPT_SIMULATIONS)
-def _forward(character: Character, settings: ForwardSettings, tets: TetWeights) -> ForwardSimulation:
-    return ForwardSimulation(character.head, settings, _stiffness(character.head, tets))
+def _forward(
+    character: Character, settings: ForwardSettings, tets: TetWeights, stiffness: RegionFactors
+) -> ForwardSimulation:
+    return ForwardSimulation(character.head, settings, _stiffness(character.head, tets, stiffness))
 
 
-def _stiffness(head: Head, tets: TetWeights) -> FloatArray | float:
-    """Factors (t,) on energies that count volume, which leave the sum of all weights as it is."""
+def _stiffness(head: Head, tets: TetWeights, stiffness: RegionFactors) -> FloatArray | float:
+    """Factors (t,) on energies that count volume; those of the tets leave the sum of all weights as it is."""
+    factors: FloatArray | float = region_stiffness(head, dict(stiffness)) if stiffness else 1.0
     if tets is TetWeights.VOLUME:
-        return 1.0
+        return factors
     volumes = signed_volumes(head.vertices, head.template.tets)
-    equal: FloatArray = volumes.mean() / volumes
+    equal: FloatArray = factors * volumes.mean() / volumes
     return equal
 
 
