@@ -21,6 +21,7 @@ from retarget.geometry.space_warp import space_warp
 from retarget.rig.blendshapes import Patches
 from retarget.simulation.characteristics import EYE_OPENINGS, EYE_SOCKETS, Characteristics
 from retarget.simulation.forward import ForwardSimulation
+from retarget.simulation.inverse import InverseSimulation
 from retarget.simulation.materials import weight_change
 from retarget.simulation.soft_terms import Handles
 from retarget.simulation.state import HeadState
@@ -33,9 +34,11 @@ PULL = 1e5  # weight of a control point in the unit of Table 3, where the lip co
 class Direction:
     """anacon of a pair's target, in the two steps of a `Carrier`, under edits."""
 
-    def __init__(self, edits: Edits, pair: Pair, patches: Patches, anacon: Carrier) -> None:
-        """anacon: made with the edits' stiffness."""
-        self.edits, self.pair, self.anacon = edits, pair, anacon
+    def __init__(
+        self, edits: Edits, pair: Pair, patches: Patches, anacon: Carrier, unedited: InverseSimulation
+    ) -> None:
+        """anacon: made with the edits' stiffness. unedited: its inverse simulation without."""
+        self.edits, self.pair, self.anacon, self.unedited = edits, pair, anacon, unedited
         self.load = weight_change(edits.gravity)  # (3,) 1/mm
         self.strength = faded_strengths(pair, patches, edits.strengths)  # (n,)
         self._contour: IntArray = np.asarray(pair.regions.loops.get("lip_contour", ()), dtype=np.int64)
@@ -46,6 +49,12 @@ class Direction:
     def form(self, draft: FloatArray, near: HeadState | None = None) -> HeadState:
         """The head that forms a draft (n, 3) mm; `near`: a state of it to start from."""
         return self.anacon.form(draft, near)
+
+    def unfollowed(self, draft: FloatArray, formed: HeadState) -> FloatArray:
+        """(n, 3) mm: what tissue cannot follow of a draft (n, 3) mm, without that which the edit of the stiffness
+        takes from the head `formed`."""
+        plain = formed if self.unedited is self.anacon.inverse else self.unedited(draft, formed)
+        return draft - plain.skin
 
     def take(
         self, formed: HeadState, wanted: Characteristics | None = None, detail: FloatArray | float = 0.0
