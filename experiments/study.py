@@ -17,6 +17,8 @@ from retarget.types import Retargeter
 
 SPANS = ("animation", "five")
 
+Measure = tuple[str, str]  # metric, region
+
 
 @dataclass(frozen=True)
 class Figures:
@@ -24,6 +26,7 @@ class Figures:
 
     pairs: int = 2
     draws: int = 1
+    parts: str | None = None  # the method whose named parts are shown
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,8 @@ class Study:
     figures: Figures = field(default_factory=Figures)
     embedding: EmbeddingSettings | None = None  # of the correspondence `embedded`
     variants: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # row -> {of: method, setting: value}
+    tables: tuple[Measure, ...] = ()
+    measures: Mapping[str, tuple[Measure, ...]] = field(default_factory=dict)  # method -> what it is meant to change
 
     @staticmethod
     def from_config(config: Mapping[str, Any]) -> Study:
@@ -72,6 +77,10 @@ class Study:
         embedding = values.pop("embedding", None)
         if "embedded" in values["correspondence"] and embedding is not None:
             values["embedding"] = EmbeddingSettings.from_config(embedding)
+        values["tables"] = _measures("study.tables", values.get("tables", []))
+        values["measures"] = {
+            name: _measures(f"study.measures.{name}", listed) for name, listed in values.get("measures", {}).items()
+        }
         study = Study(**values, figures=figures)
         rows = [*options("method"), *study.variants]
         choose("study.span", study.span, SPANS)
@@ -79,6 +88,10 @@ class Study:
             choose("study.references", name, REFERENCES)
         for name in (study.reference, *study.primary_family):
             choose("study.primary_family" if name != study.reference else "study.reference", name, rows)
+        for name in study.measures:
+            choose("study.measures", name, rows)
+        if figures.parts is not None:
+            choose("study.figures.parts", figures.parts, rows)
         if not study.n_examples or len(set(study.n_examples)) < len(study.n_examples):
             raise InvalidInput(f"study.n_examples: expected different counts, got {list(study.n_examples)}.")
         return study
@@ -111,6 +124,12 @@ class Study:
         settings = {**before, **changes}
         said = ", ".join(f"{setting} = {value}" for setting, value in changes.items())
         return Row(name, settings, _method(name, settings), f"{of} with {said}." if said else sentence("method", of))
+
+
+def _measures(name: str, listed: object) -> tuple[Measure, ...]:
+    if not isinstance(listed, list) or not all(isinstance(pair, list) and len(pair) == 2 for pair in listed):
+        raise InvalidInput(f"{name}: expected a list of [metric, region], got {listed!r}.")
+    return tuple((str(metric), str(region)) for metric, region in listed)
 
 
 def _method(name: str, settings: Mapping[str, Any]) -> Retargeter:

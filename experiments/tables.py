@@ -85,6 +85,9 @@ def _describe(planned: Plan, config: Mapping[str, Any], started: datetime) -> di
         "primary_family": list(study.primary_family),
         "primary_metric": study.primary_metric,
         "primary_region": study.primary_region,
+        "tables": [list(measure) for measure in study.tables],
+        "measures": {name: [list(measure) for measure in measures] for name, measures in study.measures.items()},
+        "parts": study.figures.parts,
         "methods": [
             {
                 "name": row.name,

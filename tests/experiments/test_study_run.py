@@ -19,7 +19,7 @@ from rich.console import Console
 
 from experiments import plan as plan_module
 from experiments.backend import Backend, Joblib, Serial
-from experiments.catalogue import method_settings
+from experiments.catalogue import composed, method_settings, options
 from experiments.compute import compute
 from experiments.correspondence import Embedded, EmbeddingSettings, Known
 from experiments.metrics.eye_aperture import EyeAperture
@@ -27,6 +27,7 @@ from experiments.metrics.metric import Comparison, Measurement, Metric
 from experiments.metrics.vertex_l2 import VertexL2
 from experiments.plan import Plan, plan
 from experiments.record import FRAMES, RECORD
+from experiments.run import _plain
 from experiments.study import Figures, Row, Study
 from experiments.tables import _describe, collect
 from reports.cells import METRIC_COLUMNS
@@ -261,7 +262,7 @@ def test_data_that_no_study_can_use_is_refused_before_anything_runs(tmp_path: Pa
 
 
 CONFIG: dict[str, Any] = {**vars(STUDY), "n_examples": [2, 5], "references": ["neutral"], "primary_family": ["plbs"]}
-CONFIG |= {"correspondence": "given"}
+CONFIG |= {"correspondence": "given", "tables": []}
 EMBEDDING = {"transfer": "gradient_transfer", "patch_count": None, "lambda_reg": 1e-6, "seed": 0}
 EMBEDDED = {"correspondence": "embedded", "embedding": EMBEDDING}
 CONFIG |= {"reference": "delta", "figures": {"pairs": 0, "draws": 0}}
@@ -290,6 +291,10 @@ CONFIG |= {"reference": "delta", "figures": {"pairs": 0, "draws": 0}}
             {"correspondence": "embedded", "embedding": {**EMBEDDING, "lambda_reg": 0}},
             "lambda_reg: expected a positive",
         ),
+        ({"tables": ["eye_aperture"]}, r"study.tables: expected a list of \[metric, region\], got"),
+        ({"measures": {"plbs": "seam_jump"}}, "study.measures.plbs: expected a list"),
+        ({"measures": {"plbz": []}}, "study.measures: 'plbz' is unknown, .* Did you mean 'plbs'"),
+        ({"figures": {"pairs": 0, "draws": 0, "parts": "anacon"}}, "study.figures.parts: 'anacon' is unknown"),
         ({"span": "all"}, "study.span: 'all' is unknown"),
         ({"references": ["neutrl"]}, "Did you mean 'neutral'"),
         ({"primary_family": ["lbz"]}, "study.primary_family: 'lbz' is unknown, .* Did you mean 'lbs'"),
@@ -475,3 +480,16 @@ def test_an_embedding_that_fails_is_a_reason_and_leaves_the_references_alone(tmp
 class Unable(Retargeter):
     def prepare(self, pair: Pair) -> DeltaPrepared:
         raise InvalidInput("no head can be made of it")
+
+
+@pytest.mark.parametrize("name", [name for name in options("study") if name != "runtime"])
+def test_every_study_of_comparison_can_be_planned(name: str) -> None:
+    """Its methods, variants, families and measures exist; report and gate compose it as well."""
+    config = composed("run", [f"study={name}"])
+    study = Study.from_config({k: v for k, v in _plain(config.study).items() if k != "kind"})
+    rows = [row.name for row in study.rows(_plain(config.method))]
+    study.check_rows(rows)
+    assert set(study.primary_family) <= set(rows)
+    assert set(study.measures) <= set(rows)
+    for command in ("report", "gate"):
+        assert composed(command, [f"study={name}"]).study.name == name
