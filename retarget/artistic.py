@@ -89,17 +89,19 @@ def _control(given: Mapping[str, Any], regions: Regions, count: int) -> ControlP
 
 def _vertex(name: str, key: Any, regions: Regions, count: int) -> int:
     if isinstance(key, str):
-        return int(regions.landmarks[choose(f"{name}: landmark", key, regions.landmarks)])
-    if isinstance(key, bool) or not isinstance(key, int | np.integer):
+        vertex = int(regions.landmarks[choose(f"{name}: landmark", key, regions.landmarks)])
+    elif isinstance(key, int | np.integer) and not isinstance(key, bool):
+        vertex = int(key)
+    else:
         raise InvalidInput(f"{name}: expected vertex indices or names of landmarks, got {key!r}.")
-    if not 0 <= key < count:
-        raise InvalidInput(f"{name}: vertex {key} is none of the skin's, which are 0 to {count - 1}.")
+    if not 0 <= vertex < count:
+        raise InvalidInput(f"{name}: vertex {vertex} is none of the skin's, which are 0 to {count - 1}.")
     head = regions.vertices.get("head")
-    if head is not None and not np.isin(key, head):
+    if head is not None and not np.isin(vertex, head):
         raise InvalidInput(
-            f"{name}: vertex {key} is not on the head that is seen (region 'head'); choose one that a person can see."
+            f"{name}: vertex {vertex} is not on the head that is seen (region 'head'); choose one that is."
         )
-    return int(key)
+    return vertex
 
 
 def _stiffness(given: Any, regions: Regions) -> tuple[tuple[str, float], ...]:

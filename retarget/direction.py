@@ -73,6 +73,8 @@ class Direction:
         if not len(self.pulled):
             return done
         displacements = self.displacements(done.skin + detail)
+        if not displacements.any():
+            return done
         if wanted is not None and wanted.lip_contour is not None and self._leads.any():
             wanted = replace(wanted, lip_contour=wanted.lip_contour + displacements[: len(self._contour)])
         return simulated(self._pulling, wanted, done.skin[self.pulled] + displacements)
