@@ -111,8 +111,7 @@ def evaluate_pair(task: PairTask) -> int:
                 "fit_seconds": answer and answer.fit_seconds,
                 "seconds_per_expression": answer and answer.seconds_per_expression,
             }
-            usable = answer if status in ("ok", "not_converged") else None
-            _record(task, cell, case, pair, usable, status, reason, timings)
+            _record(task, cell, case, pair, answer, status, reason, timings)
     return len(task.cells)
 
 
@@ -231,7 +230,8 @@ def _record(
     reason: str | None,
     timings: dict[str, Any],
 ) -> None:
-    frames = case.truth if answer is None else answer.result.frames
+    usable = answer is not None and status in ("ok", "not_converged")
+    frames = answer.result.frames if answer is not None and usable else case.truth
     comparison = Comparison(
         frames, case.truth, case.source, pair.source_neutral, pair.target_neutral, pair.faces, pair.regions
     )
@@ -244,7 +244,7 @@ def _record(
         "status": status,
         "reason": reason or "",
         "settings": dict(cell.row.settings),
-        "prediction": None if answer is None else hashlib.sha256(np.ascontiguousarray(frames).tobytes()).hexdigest(),
+        "prediction": hashlib.sha256(np.ascontiguousarray(frames).tobytes()).hexdigest() if usable else None,
         "solves": [] if answer is None else [_solve(info) for info in answer.result.info],
         "correspondence_solves": [] if answer is None else [_solve(info) for info in answer.found.solves],
         "directions": {measurement.metric: measurement.direction for measurement in measurements},
@@ -252,9 +252,9 @@ def _record(
         **{key: value if value is None or np.isfinite(value) else None for key, value in timings.items()},
     }
     folder = task.folder / cell.id
-    if cell.keep_frames and answer is not None:
+    if cell.keep_frames and answer is not None and usable:
         _write_frames(folder / FRAMES, case, pair, answer.result)
-    write_record(folder, Record(header, _rows(task, cell, case, measurements, status, answer is None)))
+    write_record(folder, Record(header, _rows(task, cell, case, measurements, status, not usable)))
 
 
 def _solve(info: SolveInfo) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from experiments.runtime import RuntimeStudy, measure
 from experiments.study import Study
 from experiments.tables import collect, write_tables
 from reports.report import build_report
-from reports.terminal import print_summary
+from reports.terminal import print_solves, print_summary
 from retarget.check import InvalidInput
 from retarget.io.files import check_folder
 from retarget.suggest import choose
@@ -41,8 +41,10 @@ def _compare(config: DictConfig, folder: Path, console: Console) -> None:
     dataset = _dataset(config, console)
     planned = plan(study, dataset, methods, metrics, folder)
     compute(planned, instantiate(config.backend), console)
-    summary = write_tables(planned, collect(planned), _plain(config), started)
+    tables = collect(planned)
+    summary = write_tables(planned, tables, _plain(config), started)
     print_summary(summary, console, metric=study.primary_metric, region=study.primary_region)
+    print_solves(tables[1], console)
     for name in ("metrics.parquet", "summary.csv"):
         print_path(folder / name, console)
     if config.report:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -19,6 +20,7 @@ from experiments.version import environment
 from reports.summary import summarise
 from retarget.check import InvalidInput
 from retarget.io.files import write_whole
+from retarget.types import Status
 
 SECONDS = ("prepare_seconds", "correspondence_seconds", "fit_seconds", "seconds_per_expression")
 
@@ -45,6 +47,7 @@ def collect(planned: Plan) -> tuple[pd.DataFrame, pd.DataFrame]:
                 **{key: header[key] for key in ("status", "reason", "prediction")},
                 **{key: _number(header[key]) for key in SECONDS},
                 "peak_memory_mb": header["peak_memory_mb"],
+                **_solves(header["solves"]),
             }
         )
     return pa.concat_tables(rows).to_pandas(), pd.DataFrame(cells)
@@ -134,6 +137,16 @@ def _description(row: Row) -> str:
     if row.method is None:
         return REFERENCES[row.name].__doc__ or ""
     return row.description or sentence("method", row.name)
+
+
+def _solves(solves: Sequence[Mapping[str, Any]]) -> dict[str, int]:
+    """How many solves of a cell there were, and how they ended."""
+    ended = Counter(solve["status"] for solve in solves)
+    return {
+        "solves": len(solves),
+        "solves_not_converged": ended[Status.MAX_ITERATIONS],
+        "solves_failed": ended[Status.FAILED],
+    }
 
 
 def _number(value: float | None) -> float:

@@ -18,6 +18,15 @@ from retarget.types import FloatArray
 
 SIZE = (290, 370)  # pixels of one head: 270 per inch at 34.5 mm
 _COLUMNS = 9  # methods side by side on one page
+_PARTS = {  # named parts of a result, in the order of Figs 12 and 13: label, what a displacement is added to
+    "source_reconstruction": ("source rebuilt", None),
+    "missing_source": ("missing, source", "source_neutral"),
+    "lbs": ("blendshapes", None),
+    "plbs": ("patchwise blendshapes", None),
+    "missing_target": ("missing, target", "target_neutral"),
+    "draft": ("sum of both", None),
+}
+_COMPARED = ("lbs", "plbs", "draft")  # parts that are the target's expression and so have an error
 _STILL = 0.35  # of the largest motion: a vertex that moves less does not decide how low the picture reaches
 
 
@@ -55,6 +64,7 @@ class HeadPages:
 
     limit_mm: float
     pages: tuple[HeadPage, ...] = ()
+    parts: tuple[HeadPage, ...] = ()  # of one method
     worst: tuple[HeadRow, ...] = ()
 
 
@@ -109,9 +119,10 @@ def render_heads(study: StudyResults, folder: Path, prefix: str, expressions: in
         for count in dict.fromkeys((counts[0], counts[-1]))
         for part in parts
     )
+    part_pages = tuple(_part_pages(study, darkroom, prefix, first, expressions))
     worst = tuple(_worst(study, darkroom, prefix, cells))
     darkroom.develop()
-    return HeadPages(limit, pages, worst)
+    return HeadPages(limit, pages, part_pages, worst)
 
 
 def _page(
@@ -144,6 +155,37 @@ def _page(
             heads.append(Head(m.label, image, number(float(np.nanmean(error)), 2)))
         rows.append(HeadRow(frames.expressions[t], tuple(heads)))
     return HeadPage(first.source, first.target, count, first.draw, tuple(rows))
+
+
+def _part_pages(
+    study: StudyResults, room: _Darkroom, prefix: str, first: FigureCell, expressions: int
+) -> Iterator[HeadPage]:
+    """What became of an expression on its way through one method, at each example count."""
+    name = study.facts.get("parts")
+    for cell in study.figure_cells:
+        same = (cell.source, cell.target, cell.draw) == (first.source, first.target, first.draw)
+        if cell.method != name or not same or not cell.frames.parts:
+            continue
+        frames = cell.frames
+        camera = _camera(frames, SIZE)
+        rows = []
+        for t in _lively(frames, expressions):
+            own = f"{prefix}-{cell.source}-{cell.target}-{cell.draw}-{t}"
+            mine = f"{own}-{cell.method}-{cell.n_examples}"
+            heads = [Head("source", room.order(f"{own}-source", frames.source[t], frames, camera, SIZE, None))]
+            for part, (label, base) in _PARTS.items():
+                if part not in frames.parts:
+                    continue
+                shown = frames.parts[part] + (getattr(frames, base) if base else 0.0)
+                error = frames.error(t, shown) if part in _COMPARED else None
+                image = room.order(f"{mine}-{part}", shown[t], frames, camera, SIZE, error)
+                heads.append(Head(label, image, "" if error is None else number(float(np.nanmean(error)), 2)))
+            error = frames.error(t)
+            image = room.order(mine, frames.retargeted[t], frames, camera, SIZE, error)
+            heads.append(Head("result", image, number(float(np.nanmean(error)), 2)))
+            heads.append(Head("truth", room.order(f"{own}-truth", frames.truth[t], frames, camera, SIZE, None)))
+            rows.append(HeadRow(frames.expressions[t], tuple(heads)))
+        yield HeadPage(cell.source, cell.target, cell.n_examples, cell.draw, tuple(rows))
 
 
 def _worst(study: StudyResults, room: _Darkroom, prefix: str, cells: Sequence[FigureCell]) -> Iterator[HeadRow]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -61,6 +61,7 @@ class FigureCell:
             retargeted=arrays["retargeted"],
             head=arrays["region_head"],
             expressions=tuple(str(name) for name in arrays["expressions"]),
+            parts={name.removeprefix("part_"): arrays[name] for name in arrays if name.startswith("part_")},
         )
 
 
@@ -76,11 +77,13 @@ class Frames:
     retargeted: NDArray[np.floating[Any]]  # (t, n, 3)
     head: IntArray  # (m,) vertices that errors are measured on
     expressions: tuple[str, ...]
+    parts: Mapping[str, NDArray[np.floating[Any]]] = field(default_factory=dict)  # (t, n, 3) each
 
-    def error(self, frame: int) -> FloatArray:
-        """(n,) vertex L2 in mm on the head, NaN elsewhere."""
+    def error(self, frame: int, of: NDArray[np.floating[Any]] | None = None) -> FloatArray:
+        """(n,) vertex L2 in mm on the head, NaN elsewhere; of the result, or of other frames (t, n, 3) mm."""
+        shown = self.retargeted if of is None else of
         error = np.full(len(self.target_neutral), np.nan)
-        difference = self.retargeted[frame, self.head].astype(np.float64) - self.truth[frame, self.head]
+        difference = shown[frame, self.head].astype(np.float64) - self.truth[frame, self.head]
         error[self.head] = np.linalg.norm(difference, axis=1)
         return error
 
@@ -114,7 +117,15 @@ class StudyResults:
     @property
     def unit(self) -> str:
         """The unit of the primary metric."""
-        return str(self.metrics.loc[self.metrics["metric"] == self.facts["primary_metric"], "unit"].iloc[0])
+        return self.unit_of(self.facts["primary_metric"])
+
+    def unit_of(self, metric: str) -> str:
+        return str(self.metrics.loc[self.metrics["metric"] == metric, "unit"].iloc[0])
+
+    def measured(self, listed: Sequence[Sequence[str]]) -> list[tuple[str, str]]:
+        """Those of some measures (metric, region) that the study took."""
+        taken = set(zip(self.summary["metric"], self.summary["region"], strict=True))
+        return [(metric, region) for metric, region in listed if (metric, region) in taken]
 
     @cached_property
     def tested(self) -> tuple[str, ...]:
@@ -147,18 +158,25 @@ class StudyResults:
 def load(folders: Sequence[Path]) -> tuple[StudyResults, ...]:
     """Read results folders; one without a study.json stands for the results folders inside it.
 
-    Several folders are told apart by what their configurations set differently. Raises InvalidInput for a folder
-    that holds no finished study, or one of another schema.
+    A study with several correspondences of examples becomes one for each. Several folders are told apart by what their
+    configurations set differently. Raises InvalidInput for a folder that holds no finished study, or one of another
+    schema.
     """
     found = [found for folder in folders for found in _expand(Path(folder))]
     if not found:
         raise InvalidInput("report: expected at least one results folder, got none; run a study first.")
     unique = list({path.resolve(): path for path in found}.values())
-    studies = [_load(path) for path in unique]
-    return tuple(
-        StudyResults(s.folder, s.facts, s.metrics, s.summary, s.cells, differs)
-        for s, differs in zip(studies, _differences(studies), strict=True)
-    )
+    studies = [part for path in unique for part in _by_correspondence(_load(path))]
+    return tuple(replace(s, differs=differs) for s, differs in zip(studies, _differences(studies), strict=True))
+
+
+def _by_correspondence(study: StudyResults) -> Iterator[StudyResults]:
+    for name in study.cells["correspondence"].unique():
+        metrics, summary, cells = (
+            table[table["correspondence"] == name].reset_index(drop=True)
+            for table in (study.metrics, study.summary, study.cells)
+        )
+        yield replace(study, metrics=metrics, summary=summary, cells=cells)
 
 
 def _expand(folder: Path) -> list[Path]:
@@ -213,7 +231,11 @@ def _table(path: Path) -> pd.DataFrame:
 def _differences(studies: Sequence[StudyResults]) -> list[str]:
     if len(studies) == 1:
         return [""]
-    flat = [dict(_flatten({k: v for k, v in s.facts["config"].items() if k not in _IRRELEVANT})) for s in studies]
+    flat = [
+        dict(_flatten({k: v for k, v in s.facts["config"].items() if k not in _IRRELEVANT}))
+        | {"correspondence": str(s.cells["correspondence"].iloc[0])}
+        for s in studies
+    ]
     keys = sorted(set().union(*flat))
     differing = [key for key in keys if any(str(f.get(key)) != str(flat[0].get(key)) for f in flat)]
     labels = [", ".join(f"{key}={f[key]}" for key in differing if key in f) for f in flat]

@@ -59,6 +59,7 @@ def describe(studies: Sequence[StudyResults], work: Path, progress: Callable[[st
         "title": first.facts["title"],
         "description": " ".join(str(first.facts["description"]).split()),
         "finished": max(str(s.facts["provenance"]["finished"]) for s in studies),
+        "correspondences": tables.correspondence_rows(studies, int(first.facts["provenance"]["seed"])),
         "studies": [_study(study, work, f"study{i}", progress) for i, study in enumerate(studies)],
         "overview": _overview(studies),
         "colors": [to_hex(ERROR_COLORMAP(x)) for x in np.linspace(0, 1, 11)],
@@ -120,7 +121,18 @@ def _study(study: StudyResults, work: Path, prefix: str, progress: Callable[[str
         "unit": study.unit,
         "region": region,
         "pairs": sorted(set(study.primary.loc[study.primary["n_pairs"] > 0, "n_pairs"].astype(int))),
-        "summary": tables.summary_rows(study),
+        "summary": tables.summary_rows(study, metric, region),
+        "tables": [
+            {
+                "metric": also,
+                "region": where,
+                "unit": study.unit_of(also),
+                "summary": tables.summary_rows(study, also, where),
+            }
+            for also, where in study.measured(facts.get("tables", ()))
+        ],
+        "measures": tables.measure_rows(study, seed),
+        "parts": study.label(str(facts.get("parts"))),
         "box": f"{prefix}-box.svg",
         "examples": f"{prefix}-examples.svg" if len(facts["n_examples"]) > 1 else None,
         "ratio": f"{prefix}-ratio.svg" if len(everyone) else None,
@@ -131,6 +143,7 @@ def _study(study: StudyResults, work: Path, prefix: str, progress: Callable[[str
         "secondary": tables.test_rows(study, secondary),
         "times": tables.time_rows(study),
         "statuses": tables.status_rows(study),
+        "solves": tables.solve_rows(study),
         "cells": len(study.cells),
         "settings": tables.setting_rows(study),
         "protocol": {

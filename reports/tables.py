@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,14 +12,16 @@ from matplotlib.colors import to_hex
 
 from reports.colors import ERROR_COLORMAP
 from reports.load import StudyResults
+from reports.summary import paired_tests
 from reports.text import bounds, number, p_value, seconds
 
 Row = dict[str, Any]
 
 
-def summary_rows(study: StudyResults) -> list[Row]:
-    """Methods x example counts of the primary metric: {label, kind, cells: [{value, interval, ratio, p, best}]}."""
-    primary, counts = study.primary.set_index(["method", "n_examples"]), study.facts["n_examples"]
+def summary_rows(study: StudyResults, metric: str, region: str) -> list[Row]:
+    """Methods x example counts of one measure: {label, kind, cells: [{value, interval, ratio, p, best}]}."""
+    primary = study.at(metric, region).set_index(["method", "n_examples"])
+    counts = study.facts["n_examples"]
     best = {count: _smallest(study, primary, count) for count in counts}
     rows: list[Row] = []
     for method in study.methods:
@@ -101,6 +103,67 @@ def _test_row(study: StudyResults, r: Mapping[Any, Any]) -> Row:
         "p_targets": p_value(r["p_targets"]),
         "p_naive": p_value(r["p_naive"]),
     }
+
+
+def measure_rows(study: StudyResults, seed: int) -> list[Row]:
+    """What each row of `study.measures` was meant to change, against the reference, by measure and example count."""
+    rows = []
+    reference = study.facts["reference"]
+    for method, listed in study.facts.get("measures", {}).items():
+        for metric, region in study.measured(listed):
+            taken = study.metrics[(study.metrics["metric"] == metric) & (study.metrics["region"] == region)]
+            means = study.at(metric, region).set_index(["method", "n_examples"])["mean"]
+            tests = paired_tests(taken, reference, [method], metric, region, seed)
+            for test, row in zip(
+                tests.to_dict("records"), test_rows(study, tests.assign(adjusted=tests["p"])), strict=True
+            ):
+                unit = study.unit_of(metric)
+                rows.append(
+                    row
+                    | {
+                        "measure": f"{metric}, {region}" + (f", {unit}" if unit != "1" else ""),
+                        "mean": number(means.get((method, test["n_examples"]), math.nan)),
+                        "reference": number(means.get((reference, test["n_examples"]), math.nan)),
+                    }
+                )
+    return rows
+
+
+def correspondence_rows(studies: Sequence[StudyResults], seed: int) -> list[Row]:
+    """Every method with other source examples against itself with given ones; empty unless both were studied."""
+    by_name = {str(study.cells["correspondence"].iloc[0]): study for study in studies}
+    if len(by_name) < 2 or len(by_name) < len(studies) or "given" not in by_name:
+        return []
+    first = by_name["given"]
+    metric, region = first.facts["primary_metric"], first.facts["primary_region"]
+    taken = pd.concat([study.metrics for study in studies])
+    taken = taken[(taken["metric"] == metric) & (taken["region"] == region)]
+    others = [name for name in by_name if name != "given"]
+    rows = []
+    for method in first.tested:
+        mine = taken[taken["method"] == method]
+        tests = paired_tests(
+            mine.assign(method=mine["correspondence"], correspondence=""), "given", others, metric, region, seed
+        )
+        rows += [row | {"method": first.label(method)} for row in test_rows(first, tests.assign(adjusted=tests["p"]))]
+    return rows
+
+
+def solve_rows(study: StudyResults) -> list[Row]:
+    """Methods whose solves did not all converge: {label, count, solves, late, failed}."""
+    if "solves" not in study.cells:
+        return []
+    counts = study.cells.groupby(["method", "n_examples"], sort=False)[
+        ["solves", "solves_not_converged", "solves_failed"]
+    ].sum()
+    return [
+        {"label": study.label(m.name), "count": count, "solves": int(total), "late": int(late), "failed": int(failed)}
+        for m in study.methods
+        for count in study.facts["n_examples"]
+        if (m.name, count) in counts.index
+        for total, late, failed in [counts.loc[(m.name, count)]]
+        if late or failed
+    ]
 
 
 def time_rows(study: StudyResults) -> list[Row]:

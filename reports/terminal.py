@@ -15,12 +15,21 @@ _WIDE = 100  # columns from which an estimate and its interval fit on one line
 def print_summary(
     summary: pd.DataFrame, console: Console, metric: str = "vertex_l2_mean", region: str = "head"
 ) -> None:
-    """Print methods x example counts from `summary.summarise`: mean [95 % interval] and cells without a result."""
+    """Print methods x example counts from `summary.summarise`: mean [95 % interval] and cells without a result.
+
+    One table for each correspondence.
+    """
     rows = summary[(summary["metric"] == metric) & (summary["region"] == region)]
+    several = rows["correspondence"].nunique() > 1
+    for correspondence, part in rows.groupby("correspondence", sort=False):
+        _print_table(part, console, metric, region, f", {correspondence} examples" if several else "")
+
+
+def _print_table(rows: pd.DataFrame, console: Console, metric: str, region: str, suffix: str) -> None:
     counts = sorted(rows["n_examples"].unique())
     failing = bool((rows["n_failed"] > 0).any())
     unit = " in mm" if metric.startswith("vertex_l2") else ""
-    title = f"{metric}{unit}, region {region}: mean over pairs [95 % interval]"
+    title = f"{metric}{unit}, region {region}{suffix}: mean over pairs [95 % interval]"
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("method", no_wrap=True)
     for count in counts:
@@ -38,6 +47,15 @@ def print_summary(
     pairs = sorted(set(rows.loc[rows["n_pairs"] > 0, "n_pairs"].astype(int)))
     if pairs:
         console.print(f"over {' or '.join(map(str, pairs))} ordered pairs, on cells that all compared methods finished")
+
+
+def print_solves(cells: pd.DataFrame, console: Console) -> None:
+    """Print how many solves of each method did not converge or failed, where any did."""
+    counted = cells.groupby("method", sort=False)[["solves", "solves_not_converged", "solves_failed"]].sum()
+    for method, row in counted.iterrows():
+        late, failed, total = row["solves_not_converged"], row["solves_failed"], row["solves"]
+        if late or failed:
+            console.print(f"{method}: of {total} solves {late} stopped at the iteration limit, {failed} failed")
 
 
 def print_runtime(summary: pd.DataFrame, console: Console) -> None:
