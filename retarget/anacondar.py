@@ -12,20 +12,22 @@ The steps are those of the paper's Fig. 2.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
-from retarget.anatomical_transfer import AnatomicalTransfer, AnatomySettings, Carried, Carrier, joined, without_template
-from retarget.check import check_frames, check_no_edits
+from retarget.anatomical_transfer import AnatomicalTransfer, AnatomySettings, Carrier, joined, without_template
+from retarget.artistic import Edits
+from retarget.check import check_frames
+from retarget.direction import Direction
 from retarget.embedding import embed_examples
-from retarget.evidence import Evidence
+from retarget.evidence import Evidence, EvidenceSettings
 from retarget.geometry.patches import contiguous_patches
 from retarget.rig.blendshapes import BlendshapeTransfer, Patches, Residual, Ridge
 from retarget.rig.deformation_transfer import DeformationTransfer, Weighting
-from retarget.simulation.characteristics import Characteristics
+from retarget.simulation.state import HeadState
 from retarget.suggest import choose
 from retarget.types import Examples, FloatArray, Pair, Retargeter, RetargetProblem, RetargetResult, SolveInfo
 
@@ -42,7 +44,7 @@ class Held(StrEnum):
     """What anacon is held to besides the tissue."""
 
     CHARACTERISTICS = "characteristics"  # fc(S_i, S, T), eq. (19)
-    EVIDENCE = "evidence"  # differs from the paper: as far as the examples leave the expression open, see `Evidence`
+    EVIDENCE = "evidence"  # differs from the paper: as far as the examples leave an expression open, see `Evidence`
     NOTHING = "nothing"  # ablation of section 4.5, adt included
 
 
@@ -52,7 +54,8 @@ class AnaConDaR(AnatomySettings, Retargeter):
 
     Settings of the blendshapes: lambda_reg in squared units of `length_mm`, residual (see `Ridge`), and patch_count
     METIS patches, drawn with seed. The others are those of `AnatomySettings`.
-    missing: see `Missing`. held: see `Held`. source_anacon: anacon on S_i^P before eq. (4), section 4.5.
+    missing: see `Missing`. missing_collisions: resolve those of the lips in T_i^M as well. held: see `Held`.
+    completed, sharpness, caution: see `Evidence`. source_anacon: anacon on S_i^P before eq. (4), section 4.5.
     Raises InvalidInput for settings out of range, and from `prepare` for heads that cannot be fitted.
     """
 
@@ -61,12 +64,17 @@ class AnaConDaR(AnatomySettings, Retargeter):
     patch_count: int = 80
     seed: int = 0
     missing: Missing | str = Missing.ADT
+    # differs from the paper: lips that cross in T_i^M, a difference put on the neutral, need not cross in the sum
+    missing_collisions: bool = False
     held: Held | str = Held.EVIDENCE
+    completed: bool = True  # differs from the paper: see `Evidence`
+    sharpness: float = 1.0
+    caution: float = 4.0
     source_anacon: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.ridge  # noqa: B018  # raises for a regulariser out of range
+        self.ridge, self.evidence  # noqa: B018  # raise for values out of range
         choose("missing", self.missing, Missing)
         choose("held", self.held, Held)
 
@@ -74,14 +82,18 @@ class AnaConDaR(AnatomySettings, Retargeter):
     def ridge(self) -> Ridge:
         return Ridge(self.lambda_reg, self.residual, self.length_mm)
 
+    @property
+    def evidence(self) -> EvidenceSettings:
+        return EvidenceSettings(self.sharpness, self.caution)
+
     def unsupported(self, problem: RetargetProblem) -> str | None:
         return without_template(problem, self.template)
 
     def prepare(self, pair: Pair) -> _Prepared:
         patches = contiguous_patches(pair.faces, len(pair.source_neutral), self.patch_count, self.seed)
-        adt = AnatomicalTransfer(pair, self)
+        adt = AnatomicalTransfer(pair, replace(self, collisions=self.collisions and self.missing_collisions))
         dt = DeformationTransfer.of(pair, Weighting.UNIFORM) if self.missing == Missing.DT else None
-        return _Prepared(self, pair, patches, adt, dt, Evidence(pair, adt.characteristics))
+        return _Prepared(self, pair, patches, adt, dt, Evidence(pair, patches, self.evidence))
 
 
 @dataclass(frozen=True)
@@ -110,11 +122,16 @@ class _Prepared:
 
         return embed_examples(target_examples, animation, pair.source_neutral, self.patches, self.rules.ridge, adt)
 
-    @property
-    def anacon(self) -> Carrier:
-        """fwdSim after invSim on the target's own head, eq. (19)."""
+    def directed(self, edits: Mapping[str, Any] | None) -> Direction:
+        """anacon, fwdSim after invSim on the target's own head, eq. (19), under artistic edits, section 4.6."""
+        asked = Edits.of(edits, self.pair.regions, self.patches)
         target, rules = self.adt.target, self.rules
-        return Carrier(target.inverse(rules.inverse_settings, rules.tets), self.adt.carry.forward)
+        anacon = Carrier(
+            target.inverse(rules.inverse_settings, rules.tets, asked.stiffness),
+            target.forward(rules.forward_settings, rules.tets, asked.stiffness),
+        )
+        unedited = target.inverse(rules.inverse_settings, rules.tets)
+        return Direction(asked, self.pair, self.patches, anacon, unedited)
 
     @property
     def anacon_source(self) -> Carrier:
@@ -130,7 +147,7 @@ class _Expression:
     rebuilt: FloatArray  # S_i^P (n, 3) mm, after anacon if `source_anacon`
     missing: FloatArray  # T_i^M - T (n, 3) mm
     draft: FloatArray  # T_i^P + T_i^M - T (n, 3) mm
-    result: Carried  # T_i
+    result: FloatArray  # T_i (n, 3) mm
     solves: dict[str, SolveInfo]
 
 
@@ -140,11 +157,13 @@ class _Fitted:
     blendshapes: BlendshapeTransfer
 
     def __call__(self, source_frames: FloatArray, edits: Mapping[str, Any] | None = None) -> RetargetResult:
-        check_no_edits("AnaConDaR", edits)
-        pair = self.prepared.pair
+        pair, anacon = self.prepared.pair, self.prepared.directed(edits)
         source_frames = check_frames("source_frames", source_frames, len(pair.source_neutral))
         blended = self.blendshapes(source_frames)  # steps 2 and 3
-        done = [self._expression(*of_one) for of_one in zip(source_frames, blended.source, blended.target, strict=True)]
+        done = [
+            self._expression(*of_one, anacon)
+            for of_one in zip(source_frames, blended.source, blended.target, strict=True)
+        ]
 
         def stacked(frames: list[FloatArray]) -> FloatArray:
             return np.array(frames).reshape(source_frames.shape)
@@ -157,15 +176,16 @@ class _Fitted:
             "missing_target": stacked([one.missing for one in done]),
             "draft": stacked([one.draft for one in done]),
         }
-        return RetargetResult(
-            stacked([one.result.skin for one in done]), tuple(joined(one.solves) for one in done), parts
-        )
+        return RetargetResult(stacked([one.result for one in done]), tuple(joined(one.solves) for one in done), parts)
 
-    def _expression(self, expression: FloatArray, rebuilt: FloatArray, blended: FloatArray) -> _Expression:
+    def _expression(
+        self, expression: FloatArray, rebuilt: FloatArray, blended: FloatArray, anacon: Direction
+    ) -> _Expression:
         """From S_i, S_i^P and T_i^P, (n, 3) mm each, to T_i."""
         method, pair, solves = self.prepared, self.prepared.pair, {}
         if method.rules.source_anacon:
-            smoothed = method.anacon_source(rebuilt)
+            anacon_source = method.anacon_source
+            smoothed = anacon_source.take(anacon_source.form(rebuilt))
             rebuilt, solves["source anacon"] = smoothed.skin, smoothed.info
 
         missing = pair.source_neutral + expression - rebuilt  # eq. (4): S_i^M
@@ -176,16 +196,23 @@ class _Fitted:
                 carried, near, solves["adt"] = adt.skin - pair.target_neutral, adt.taken, adt.info  # eq. (5)
             case Missing.DT if method.dt is not None:
                 carried = method.dt.displacements(missing[None])[0]
-        draft = blended + carried
+        draft = anacon.strengthened(blended + carried)
 
-        result = method.anacon(draft, self._wanted(expression, rebuilt, draft), near)  # eqs (6), (19)
-        solves["anacon"] = result.info
+        result, solves["anacon"] = self._anacon(expression, rebuilt, draft, near, anacon)  # eqs (6), (19)
         return _Expression(rebuilt, carried, draft, result, solves)
 
-    def _wanted(self, expression: FloatArray, rebuilt: FloatArray, draft: FloatArray) -> Characteristics | None:
-        match self.prepared.rules.held:
-            case Held.CHARACTERISTICS:
-                return self.prepared.adt.characteristics(expression)
-            case Held.EVIDENCE:
-                return self.prepared.evidence(expression, rebuilt, draft)
-        return None
+    def _anacon(
+        self, expression: FloatArray, rebuilt: FloatArray, draft: FloatArray, near: HeadState | None, anacon: Direction
+    ) -> tuple[FloatArray, SolveInfo]:
+        """T_i (n, 3) mm of a draft (n, 3) mm and how the solves went; `near`: a state of the target to start from."""
+        method, rules = self.prepared, self.prepared.rules
+        formed = anacon.form(draft, near)
+        miss = method.evidence.miss(expression, rebuilt)
+        detail = method.evidence.detail(anacon.unfollowed(draft, formed), miss) if rules.completed else 0.0 * draft
+        wanted = None
+        if rules.held != Held.NOTHING:
+            wanted = anacon.characteristics(method.adt.characteristics(expression))
+        if wanted is not None and rules.held == Held.EVIDENCE:
+            wanted = method.evidence.held(wanted, draft, draft - detail, miss)
+        done = anacon.take(formed, wanted, detail)
+        return done.skin + detail, done.info

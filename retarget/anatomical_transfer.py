@@ -105,11 +105,12 @@ class Carrier:
     forward: ForwardSimulation
     scale: float = 1.0  # BB(T) / BB(S), of the bones' translations
 
-    def __call__(
-        self, expression: FloatArray, wanted: Characteristics | None = None, near: HeadState | None = None
-    ) -> Carried:
-        """An expression (n, 3) mm of the first head on the second; `near`: a state of the first to start from."""
-        formed = self.inverse(expression, near)  # eq. (8)
+    def form(self, expression: FloatArray, near: HeadState | None = None) -> HeadState:
+        """The first head, forming an expression (n, 3) mm; `near`: a state of it to start from."""
+        return self.inverse(expression, near)  # eq. (8)
+
+    def take(self, formed: HeadState, wanted: Characteristics | None = None) -> Carried:
+        """The same on the second head, held to characteristics."""
         return Carried(formed, self.forward(formed.gradients, formed.bones, self.scale, wanted))  # eq. (10)
 
 
@@ -129,7 +130,8 @@ class AnatomicalTransfer:
 
     def expression(self, expression: FloatArray, characteristics: bool = True) -> Carried:
         """adt(expression, S, T) for a source expression (n, 3) mm, with both heads in the states that it ends in."""
-        return self.carry(expression, self.characteristics(expression) if characteristics else None)
+        wanted = self.characteristics(expression) if characteristics else None
+        return self.carry.take(self.carry.form(expression), wanted)
 
     def __call__(self, frames: FloatArray) -> FloatArray:
         """Target expressions (t, n, 3) mm for source expressions (t, n, 3) mm, each independent of the others."""

@@ -1,72 +1,106 @@
-"""Characteristics that stand back where the examples explain an expression.
+"""How far the examples explain an expression, and an anacon that stands back where they do.
 
-# differs from the paper: eq. (19) holds anacon to fc(S_i, S, T) whatever the examples know. fc carries lips and lids
-over by geometry alone; where the examples rebuild the source's lips, the blended lips T_i^P are those of the target
-itself and better. So each characteristic is held to
+# differs from the paper: anacon (eq. 19) holds the face to fc(S_i, S, T) and to what tets can follow, whatever the
+examples know. Both cost accuracy where the examples rebuild the source's expression: there the blended expression is
+that of the target itself. So with the relative miss of each patch p,
 
-    draft + u (fc(S_i, S, T) - draft),      u = min(1, ||S_i - S_i^P||^2 / ||S_i - S||^2)  on its vertices,
+    m = min(1, ||S_i^P - S_i||_p / ||S_i - S||_p),    1 without examples, 0 where they explain all of the motion,
 
-where draft is what T_i^P plus the missing blendshape shows, and u is the share of the motion that was not rebuilt: 1
-without examples, which is eq. (19), and 0 where they explain all of it.
+spread a little over the mesh, anacon's result T_i is
+
+    held to        draft + m^q (fc(S_i, S, T) - draft)      where eq. (19) holds it to fc(S_i, S, T), and
+    completed by   (1 - m)^c (draft - P x_inv - r)          what the tissue of invSim could not follow of the draft.
+
+Where nothing is explained this is eq. (19). `draft` is T_i^P plus the missing blendshape, P x_inv + r the skin that
+invSim forms. What tissue does not follow are the jumps between patches, which appear where patches miss, and detail
+finer than tets.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.sparse as sp
 
-from retarget.simulation.characteristics import (
-    EYE_OPENINGS,
-    EYE_SOCKETS,
-    Characteristics,
-    FacialCharacteristics,
-)
+from retarget.check import InvalidInput
+from retarget.geometry.graph import vertex_adjacency
+from retarget.rig.blendshapes import Patches
+from retarget.simulation.characteristics import EYE_OPENINGS, EYE_SOCKETS, Characteristics, FacialCharacteristics
 from retarget.types import FloatArray, IntArray, Pair
 
-NOISE = 0.05  # mm, rms: motion below it explains nothing and needs no explanation
+NOISE = 0.05  # mm, rms: motion below it needs no explanation
+SPREAD = 6  # times that the miss is averaged with the neighbours', so that it does not jump from patch to patch
+
+
+@dataclass(frozen=True)
+class EvidenceSettings:
+    """How fast anacon stands back. Raises InvalidInput for an exponent that is not positive."""
+
+    sharpness: float = 1.0  # q: larger, characteristics stand back sooner
+    caution: float = 4.0  # c: larger, jumps between patches are taken back less readily
+
+    def __post_init__(self) -> None:
+        for name in ("sharpness", "caution"):
+            value = getattr(self, name)
+            if not 0 < value < np.inf:
+                raise InvalidInput(f"{name}: expected a positive number, got {value}.")
 
 
 class Evidence:
-    """Characteristics for a pair, weighed against what a draft of the target's expression shows."""
+    """The relative miss of patches, and what it leaves of characteristics, for a pair."""
 
-    def __init__(self, pair: Pair, characteristics: FacialCharacteristics) -> None:
-        """characteristics: fc of the pair. Raises InvalidInput as `FacialCharacteristics`."""
+    def __init__(self, pair: Pair, patches: Patches, settings: EvidenceSettings) -> None:
+        """Raises InvalidInput as `FacialCharacteristics`."""
+        self.pair, self.patches, self.settings = pair, patches, settings
         regions = pair.regions
-        self.pair, self._fc = pair, characteristics
-        self._own = FacialCharacteristics(
-            Pair(pair.faces, pair.target_neutral, pair.target_neutral, replace(regions, loops={}))
-        )
+        itself = Pair(pair.faces, pair.target_neutral, pair.target_neutral, replace(regions, loops={}))
+        self._areas = FacialCharacteristics(itself)
         self._contour: IntArray = np.asarray(regions.loops.get("lip_contour", ()), dtype=np.int64)
-        self._sides: dict[tuple[str, ...], list[IntArray]] = {
-            names: [regions.patches[name] for name in names if name in regions.patches]
+        self._triangles: dict[tuple[str, ...], IntArray] = {
+            names: np.concatenate([regions.patches.get(name, np.empty((0, 3), np.int64)) for name in names])
             for names in (EYE_OPENINGS, EYE_SOCKETS)
         }
+        near = sp.csr_array(
+            vertex_adjacency(pair.faces, len(pair.source_neutral)) + sp.eye_array(len(pair.source_neutral))
+        )
+        self._spread = sp.csr_array(sp.diags_array(1 / near.sum(axis=1)) @ near)
 
-    def __call__(self, expression: FloatArray, rebuilt: FloatArray, draft: FloatArray) -> Characteristics:
-        """For S_i (n, 3) mm, S_i^P (n, 3) mm and the target's draft (n, 3) mm."""
-        wanted, shown = self._fc(expression), self._own(draft)
+    def miss(self, expression: FloatArray, rebuilt: FloatArray) -> FloatArray:
+        """m (n,) for S_i (n, 3) mm and S_i^P (n, 3) mm."""
+        missed = ((rebuilt - expression) ** 2).sum(axis=1)
+        motion = ((expression - self.pair.source_neutral) ** 2).sum(axis=1) + NOISE**2
+        share = np.empty(len(expression))
+        for patch in self.patches:
+            share[patch] = min(1.0, np.sqrt(missed[patch].sum() / motion[patch].sum()))
+        for _ in range(SPREAD):
+            share = self._spread @ share
+        return share
 
-        def openness(vertices: IntArray) -> float:
-            return self._unexplained(expression, rebuilt, vertices)
+    def detail(self, unfollowed: FloatArray, miss: FloatArray) -> FloatArray:
+        """(n, 3) mm: what the result is completed by, of what tissue could not follow of the draft (n, 3) mm."""
+        kept: FloatArray = ((1 - miss) ** self.settings.caution)[:, None] * unfollowed
+        return kept
 
-        def eyes(names: tuple[str, ...], there: FloatArray | None, here: FloatArray | None) -> FloatArray | None:
-            if there is None or here is None:
+    def held(
+        self, wanted: Characteristics, draft: FloatArray, followed: FloatArray, miss: FloatArray
+    ) -> Characteristics:
+        """What to hold the tissue to, so that lips and eyes end where the formula above says once it is completed.
+
+        wanted: fc(S_i, S, T). draft (n, 3) mm, followed (n, 3) mm: the draft less what the result is completed by.
+        """
+        shown, base = self._areas(draft), self._areas(followed)
+        open_ = miss**self.settings.sharpness
+
+        def eyes(names: tuple[str, ...], part: str) -> FloatArray | None:
+            there, here, start = (getattr(c, part) for c in (wanted, shown, base))
+            if there is None:
                 return None
-            shares = [np.full(len(patch), openness(np.unique(patch))) for patch in self._sides[names]]
-            return here + np.concatenate(shares) * (there - here)
+            share = open_[self._triangles[names]].mean(axis=1)
+            return np.maximum(start + share * (there - here), 0.0)
 
         lips = wanted.lip_contour
         if lips is not None:
-            lips = draft[self._contour] + openness(self._contour) * (lips - draft[self._contour])
-        return Characteristics(
-            eyes(EYE_OPENINGS, wanted.eye_opening, shown.eye_opening),
-            eyes(EYE_SOCKETS, wanted.eye_socket, shown.eye_socket),
-            lips,
-        )
-
-    def _unexplained(self, expression: FloatArray, rebuilt: FloatArray, vertices: IntArray) -> float:
-        """u of the vertices (m,): the share of their squared motion that was not rebuilt, from 0 to 1."""
-        missed = expression[vertices] - rebuilt[vertices]
-        motion = expression[vertices] - self.pair.source_neutral[vertices]
-        return float(min(1.0, (missed**2).sum() / ((motion**2).sum() + len(vertices) * NOISE**2)))
+            contour = self._contour
+            lips = followed[contour] + open_[contour, None] * (lips - draft[contour])
+        return Characteristics(eyes(EYE_OPENINGS, "eye_opening"), eyes(EYE_SOCKETS, "eye_socket"), lips)
