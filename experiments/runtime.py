@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -31,10 +31,12 @@ from retarget.simulation.bones import size_ratio
 from retarget.simulation.characteristics import FacialCharacteristics
 from retarget.simulation.forward import ForwardSettings, ForwardSimulation
 from retarget.simulation.inverse import InverseSettings, InverseSimulation
+from retarget.simulation.state import HeadState
 from retarget.suggest import choose
 from retarget.types import Examples, FloatArray, Pair, Status
 from synth_data.dataset import Dataset
 
+T = TypeVar("T")
 FRAMES_LEAST = 50  # fewer give no median to speak of
 STAGES = ("adt_inverse", "adt_forward", "anacon_inverse", "anacon_forward")
 
@@ -170,9 +172,9 @@ def set_up(pair: Pair, source: Head, target: Head, surface: str, collisions: boo
 def stream(engine: Engine, performance: Performance, advance: Advance = lambda count: None) -> pd.DataFrame:
     """One row for each expression: seconds by stage, iterations, lip depths in mm, whether all solves converged."""
     rows = []
-    neutral, drafts = performance.pair.target_neutral, deque[FloatArray]()
+    neutral, drafts, carried = performance.pair.target_neutral, deque[FloatArray](), deque[HeadState | None]()
     adt_states = engine.source.stream(performance.missing)
-    anacon_states = engine.target.stream(_taken(drafts))
+    anacon_states = engine.target.stream(_taken(drafts), near=_taken(carried))
     for i, expression in enumerate(performance.frames):
         clock = [time.perf_counter()]
         source = next(adt_states)
@@ -181,6 +183,7 @@ def stream(engine: Engine, performance: Performance, advance: Advance = lambda c
         missing = engine.forward(source.gradients, source.bones, engine.scale, wanted)  # T_i^M, eq. (5)
         clock.append(time.perf_counter())
         drafts.append(performance.blended[i] + missing.skin - neutral)
+        carried.append(missing)
         target = next(anacon_states)
         clock.append(time.perf_counter())
         wanted = engine.characteristics(expression)
@@ -204,7 +207,7 @@ def stream(engine: Engine, performance: Performance, advance: Advance = lambda c
     return pd.DataFrame(rows)
 
 
-def _taken(waiting: deque[FloatArray]) -> Iterator[FloatArray]:
+def _taken(waiting: deque[T]) -> Iterator[T]:
     while True:
         yield waiting.popleft()
 

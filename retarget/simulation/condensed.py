@@ -27,7 +27,7 @@ from retarget.simulation.area_terms import project
 from retarget.simulation.dissection import DissectionFactor
 from retarget.simulation.factor import Factor, factorise
 from retarget.simulation.projective_dynamics import Anderson
-from retarget.types import FloatArray, Status
+from retarget.types import FloatArray, IntArray, Status
 
 ROUNDING = 1e-6  # of the energy
 
@@ -142,6 +142,20 @@ class SoftSystem:
         new._lower = np.block([[self._lower, np.zeros((len(self._lower), len(below)))], [left.T, below]])
         new._rise = np.vstack([self._rise, risen])
         return new
+
+    def compliance(self, points: IntArray) -> FloatArray:
+        """(p, p): what forces at `points` (p,) of the system's points move them by while the soft rows hold.
+
+        The areas' gradients are drawn to where they are drawn to now; that changes little far away from them.
+        """
+        free = self.system.compliance
+        left = _substitute(self._lower, (self.fixed.operator @ free)[:, points])
+        pulled = (self.areas.operator @ free)[:, points] - self._half.T @ left
+        risen = self._rise @ pulled
+        held: FloatArray = (
+            free[np.ix_(points, points)] - left.T @ left - pulled.T @ self._inverse @ pulled - risen.T @ risen
+        )
+        return held
 
     def solve(
         self,

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,14 +24,15 @@ from retarget.anatomy.head import Head
 from retarget.check import InvalidInput, check_points
 from retarget.simulation.bones import at_rest, carry_bones, check_moves, place_bones
 from retarget.simulation.characteristics import Characteristics
-from retarget.simulation.collisions import Held, Lips
+from retarget.simulation.collisions import Lips
 from retarget.simulation.condensed import CondensedSolution, CondensedSystem, SoftProblem, SoftRows, SoftSystem
+from retarget.simulation.contact_forces import Parting
 from retarget.simulation.gradient_energy import GradientEnergy
 from retarget.simulation.materials import check_gravity, check_stiffness
 from retarget.simulation.soft_terms import NONE, Goals, Handles, SoftTerms, SoftWeights, handle_points
 from retarget.simulation.state import Bones, HeadState
 from retarget.simulation.tetrahedra import rest_shape, vertex_volumes
-from retarget.types import FloatArray, SolveInfo, Status
+from retarget.types import FloatArray, IntArray, SolveInfo, Status
 
 ACCEPTED = 0.1  # mm: deeper lips are not resolved
 
@@ -47,7 +49,7 @@ class ForwardSettings:
     area_tolerance: float = 1e-5  # rms change of the triangles' gradients in one iteration
     area_iterations: int = 200
     collisions: bool = True  # step 3
-    collision_stiffness: float = 10.0  # of a contact, relative to that of the lips at one point
+    collision_stiffness: float = 1000.0  # of a contact, relative to that of the lips at one point
     collision_rounds: int = 12
     backend: str = "cholespy"
 
@@ -65,10 +67,11 @@ class ForwardSettings:
 class LipReport:
     """What became of lip collisions."""
 
-    before: float = 0.0  # mm, deepest contact of the first run
+    before: float = 0.0  # mm, how deep they are in each other after the first run
     after: float = 0.0  # mm, how deep the lips still are in each other, by the winding number; see `Lips.depth`
-    contacts: int = 0  # skin points held
-    rounds: int = 0  # further runs
+    contacts: int = 0  # points of the skin that push
+    rounds: int = 0  # times that contacts were found and solved for
+    way: float = 1.0  # of the way from rest that the lips have gone: less where they could not be parted further on
 
 
 @dataclass(frozen=True)
@@ -107,6 +110,7 @@ class ForwardSimulation:
             matrix[self._free][:, self._free], self._points[:, self._free], "forward simulation", rules.backend
         )
         self._soft: dict[tuple[str, ...], SoftSystem] = {}
+        self._partings: dict[SoftSystem, Parting] = {}
 
     def with_handles(self, handles: Handles) -> ForwardSimulation:
         """The same simulation with these handles in place of any others. Nothing is factorised again.
@@ -121,7 +125,7 @@ class ForwardSimulation:
         new._system = self._without_handles.with_points(rows[:, self._free])
         pick = sp.eye_array(first + handles.count, format="csr")[first:]
         new._handles = SoftRows(pick, weights)
-        new._soft = {}
+        new._soft, new._partings = {}, {}
         return new
 
     def __call__(
@@ -201,37 +205,68 @@ class ForwardSimulation:
     def _resolve(
         self, lips: Lips, soft: SoftSystem, problem: SoftProblem, solution: CondensedSolution, free: FloatArray
     ) -> tuple[CondensedSolution, FloatArray, LipReport]:
-        """Detect contacts, hold both sides at their average position and solve again, until none is left; from the
-        vertices `free` (v, 3) mm without forces to those of the result.
+        """Part the lips where they are in each other and solve again; from the vertices `free` (v, 3) mm without forces
+        to those of the result.
 
-        # differs from the paper: which resolves once. Points that hang on the same tets cannot all be held where they
-        # should, and new ones meet; so those that are still inside are pushed on, further in each round.
+        # differs from the paper: which moves both sides to their average position, once. There is where forces balance
+        if both lips are equally soft; prescribed, it folds skin whose points hang on the same tets, and new ones meet.
+        Lips that are still in each other are parted on their way from rest, as far as that goes, and the least deep
+        result is taken: never a deeper one than without contacts.
         """
-        rules, system, count = self.settings, self._system, len(self._terms.skin)
-        skin = np.zeros_like(self.head.skin)  # the points alone are filled in
-        held, deepest = Held.none(), []
-        for turn in range(rules.collision_rounds + 1):
-            skin[self._terms.skin] = (problem.points + system.shifts(solution.forces))[:count]
-            found, last = lips.contacts(skin), turn == rules.collision_rounds
-            if last or not found.count:
-                moved = self._pulled(free, solution)
-                whole = self._skin(moved)
-                found = found if found.count else lips.hidden(whole)
-            deepest.append(found.deepest)
-            if last or not found.count:
-                break
-            held = held.renewed(found, skin, push=turn + 2.0)
-            operator, goals = held.rows(len(skin))
-            points = self._terms.place[held.contacts.points]
-            weight = rules.collision_stiffness / system.compliance[points, points].mean()
-            contacts = SoftRows(operator[:, self._terms.skin], np.full(len(goals), weight))
-            rows = SoftRows.stack([contacts], len(self._offset))
-            targets = np.vstack([problem.targets, goals])
-            solution = self._solve(soft.with_fixed(rows), replace(problem, targets=targets), solution.goal)
-        after = max(deepest[-1], lips.depth(whole))
-        if after > ACCEPTED and solution.status is Status.CONVERGED:
+        rules, place = self.settings, self._terms.place[lips.vertices]
+        points = (problem.points + self._system.shifts(solution.forces))[place]
+        moved = self._pulled(free, solution)
+        before = lips.depth(self._skin(moved))
+        best, apart = (solution, moved, before), None
+        if before > ACCEPTED or lips.meet(points):
+            parting = self._parting(lips, soft)
+            direct = parting.directly(points, rules.collision_rounds)
+            for tried in chain([direct], parting.along(points, rules.collision_rounds)):
+                found = self._apart(soft, problem, solution, free, place, tried.forces)
+                depth = lips.depth(self._skin(found[1]))
+                if depth < best[2] or (apart is None and depth <= ACCEPTED):
+                    best, apart = (*found, depth), tried
+                if best[2] <= ACCEPTED:
+                    break
+        solution, moved, after = best
+        report = LipReport(before, after)
+        if apart:
+            report = LipReport(before, after, int(apart.touching.sum()), apart.rounds, apart.way)
+        if (after > ACCEPTED or report.way < 1) and solution.status is Status.CONVERGED:
             solution = replace(solution, status=Status.MAX_ITERATIONS)
-        return solution, moved, LipReport(deepest[0], after, held.contacts.count, len(deepest) - 1)
+        return solution, moved, report
+
+    def _parting(self, lips: Lips, soft: SoftSystem) -> Parting:
+        """Made when lips meet first under the terms of `soft`."""
+        if soft not in self._partings:
+            place = self._terms.place[lips.vertices]
+            compliance, stiffness = soft.compliance(place), self.settings.collision_stiffness
+            rest = self.head.skin[lips.vertices]
+            self._partings[soft] = Parting(lips.gaps, lips.samples, lips.floor, rest, compliance, stiffness)
+        return self._partings[soft]
+
+    def _apart(
+        self,
+        soft: SoftSystem,
+        problem: SoftProblem,
+        solution: CondensedSolution,
+        free: FloatArray,
+        place: IntArray,
+        forces: FloatArray,
+    ) -> tuple[CondensedSolution, FloatArray]:
+        """The solution and the vertices under forces (p, 3) at the lips."""
+        contact = np.zeros_like(problem.points)
+        contact[place] = forces
+        shifted = replace(problem, points=problem.points + self._system.shifts(contact))
+        found = self._solve(soft, shifted, solution.goal)
+        total = contact + found.forces
+        # Their energy without the contacts' potential, which is the same in every iteration.
+        work = float(
+            np.vdot(total, self._system.shifts(total)) - np.vdot(found.forces, self._system.shifts(found.forces))
+        )
+        energy = tuple(e + work for e in found.energy)
+        found = replace(found, forces=total, energy=energy)
+        return found, self._pulled(free, found)
 
     def _state(
         self, moved: FloatArray, wanted: FloatArray, bones: Bones, solution: CondensedSolution, lips: LipReport
@@ -249,6 +284,8 @@ class ForwardSimulation:
         message = ""
         if lips.rounds or lips.after > ACCEPTED:
             message = f"lips: {lips.contacts} contacts up to {lips.before:.2f} mm deep, {lips.after:.2f} mm left"
+        if lips.way < 1:
+            message += f"; held where they could last be parted, after {100 * lips.way:.0f} % of their way"
         skin = self._skin(moved)
         info = SolveInfo(solution.status, max(len(energy) - 1, 1), energy, message)
         return ForwardState(moved, skin, gradients, bones, info, lips)

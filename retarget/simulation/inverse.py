@@ -62,6 +62,9 @@ class InverseSettings:
             )
 
 
+_Known = tuple[FloatArray, FloatArray]  # vertices (n, 3) mm and what their targets were, (k, 3) mm
+
+
 @dataclass(frozen=True)
 class _Posed:
     """An expression as the solver takes it."""
@@ -170,20 +173,30 @@ class InverseSimulation:
         skins: Iterable[FloatArray],
         handles: FloatArray | Iterable[FloatArray] | None = None,
         gravity: ArrayLike = (0.0, 0.0, 0.0),
+        near: Iterable[HeadState | None] | None = None,
     ) -> Iterator[HeadState]:
         """An animation, one expression (n, 3) mm at a time, each predicted from those before it.
 
         The prediction is the affine combination of the last expressions that comes closest on the skin, to which the
         solver adds the harmonic extension of what is left.
 
+        near: for each frame a state of this head in almost that expression, or None: its change since the frame
+        before, and its distance from the last result, join the combination. For anacon that is adt's result. It is
+        drawn after the frame's expression, and changes the number of iterations, not what they converge to.
         handles: (h, 3) mm for all frames, or as many of these as frames. gravity: (3,) for all. A frame that fails is
         at rest and the next one goes on. Raises InvalidInput as a call does; the message names the frame's index, and
         the stream ends there: repair or leave out the frame and start a stream with what follows.
         """
-        known: deque[tuple[FloatArray, FloatArray]] = deque(maxlen=self.settings.history)
+        known: deque[_Known] = deque(maxlen=self.settings.history)
         known.append((self.head.vertices, self._seen(self.head.vertices)))
+        guesses: Iterator[HeadState | None] = repeat(None) if near is None else iter(near)
+        before: _Known | None = None
         for posed in self._poses(skins, handles):
-            found = self.solver.solve_many([self._problem(posed, self._predicted(known, posed), gravity)])[0]
+            guess = next(guesses, None)
+            hint = None if guess is None else (guess.vertices, self._seen(guess.vertices))
+            start = self._predicted(known, posed, before, hint)
+            before = hint
+            found = self.solver.solve_many([self._problem(posed, start, gravity)])[0]
             if found.info.status is not Status.FAILED:
                 known.append((found.vertices, posed.targets))
             yield self._state(posed, found)
@@ -244,13 +257,18 @@ class InverseSimulation:
         skin = head.template.embedding @ found.vertices + head.residual
         return HeadState(found.vertices, skin, deformation_gradients(self.shape, found.vertices), bones, found.info)
 
-    def _predicted(self, known: deque[tuple[FloatArray, FloatArray]], posed: _Posed) -> tuple[FloatArray, FloatArray]:
-        """The affine combination of known (vertices, targets) closest in targets, or in fixed vertices without any."""
+    def _predicted(
+        self, known: deque[_Known], posed: _Posed, earlier: _Known | None = None, hint: _Known | None = None
+    ) -> _Known:
+        """The affine combination of known (vertices, targets) closest in targets, or in fixed vertices without any; a
+        hint and its change since an earlier one take part."""
         vertices, last = known[-1]
-        if len(known) == 1:
-            return vertices, last
         fixed = self.solver.fixed
         before = [(shape - vertices, goal - last) for shape, goal in list(known)[:-1]]
+        if hint is not None:
+            before += [(hint[0] - there[0], hint[1] - there[1]) for there in (known[-1], earlier) if there is not None]
+        if not before:
+            return vertices, last
         changes = np.stack([(goal if last.size else shape[fixed]).ravel() for shape, goal in before])
         wanted = (posed.targets - last if last.size else posed.fixed - vertices[fixed]).ravel()
         products = changes @ changes.T

@@ -136,7 +136,7 @@ def _nearest_points(x, points, faces, distances, triangles, barycentric):  # typ
                     squared += gap * gap
                 if squared >= best:
                     continue
-                squared, s, t = _nearest(p, x[faces[f, 0]], x[faces[f, 1]], x[faces[f, 2]])
+                squared, s, t = nearest_on_triangle(p, x[faces[f, 0]], x[faces[f, 1]], x[faces[f, 2]])
                 if squared < best:
                     best, nearest = squared, f
                     weights[0], weights[1], weights[2] = 1 - s - t, s, t
@@ -148,7 +148,7 @@ def _nearest_points(x, points, faces, distances, triangles, barycentric):  # typ
 
 
 @njit(cache=True)
-def _nearest(p, a, b, c):  # type: ignore[no-untyped-def]
+def nearest_on_triangle(p, a, b, c):  # type: ignore[no-untyped-def]
     """Squared distance of p from triangle abc, and the weights of b and c at its nearest point.
 
     By the regions of Ericson 2005, "Real-Time Collision Detection", section 5.1.5.

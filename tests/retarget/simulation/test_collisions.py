@@ -3,10 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import pyvista as pv
+from scipy.optimize import nnls
 
 from retarget.check import InvalidInput
 from retarget.simulation.bones import pivot
 from retarget.simulation.collisions import TRIGGER, Lips
+from retarget.simulation.contact_forces import Parting, complementary
 from retarget.simulation.forward import ForwardSettings, ForwardSimulation
 from retarget.simulation.penetration import REACH, Surface, inside
 from retarget.simulation.state import Bones, RigidMotion
@@ -37,53 +39,120 @@ def strip(height, curve=0.0):
     return np.vstack([lower, upper]), faces, regions
 
 
-def test_depth_and_counterpart_on_an_arch():
-    rest, faces, regions = strip(-1.0)
-    lips = Lips(rest, faces, regions)
-    skin, _, _ = strip(0.4, curve=0.8)
-    contacts = lips.contacts(skin)
-    below = contacts.points < 44
-    counterpart = np.einsum("kc,kci->ki", contacts.barycentric, skin[contacts.triangles])
-    np.testing.assert_allclose(counterpart[:, [0, 2]], skin[contacts.points][:, [0, 2]], atol=1e-12)
-    np.testing.assert_allclose(np.abs(counterpart - skin[contacts.points])[:, 1], contacts.depth)
-    arch = 0.8 * (1 - (skin[contacts.points[~below], 0] - 0.3) ** 2 / 100)
-    np.testing.assert_allclose(contacts.depth[~below], 0.4 - arch, atol=1e-9)
-    assert (contacts.triangles[below] >= 44).all()
-    assert (contacts.triangles[~below] < 44).all()
-    assert below.any()
-    assert not np.isin(np.flatnonzero(np.abs(skin[:44, 0]) < 5), contacts.points).any()  # under the arch
+def test_gaps_on_an_arch():
+    """Against vtk's nearest cells; the sign is that of the height above the arch."""
+    lips = Lips(*strip(-1.0))
+    skin, faces, _ = strip(0.4, curve=0.8)
+    found = lips.gaps(skin)
+    points = np.einsum("sc,sci->si", lips.samples.weights, skin[lips.samples.corners])
+    nearest = np.einsum("sc,sci->si", found.weights, skin[found.corners])
+    lower, seen = lips.samples.corners[:, 0] < 44, np.isfinite(found.gap)
+    assert 60 < seen.sum() < lips.samples.count  # those beyond the rim of the other strip have none
+    for mine, other in ((lower, faces[faces[:, 0] >= 44]), (~lower, faces[faces[:, 0] < 44])):
+        use = mine & seen
+        _, closest = pv.PolyData.from_regular_faces(skin, other).find_closest_cell(
+            points[use], return_closest_point=True
+        )
+        np.testing.assert_allclose(np.abs(found.gap[use]), np.linalg.norm(closest - points[use], axis=1), atol=1e-6)
+        np.testing.assert_allclose(nearest[use], closest, atol=1e-5)
+    above = np.where(lower, 1, -1) * (points - nearest)[:, 1]
+    clear = seen & (np.abs(found.gap) > 0.03)
+    np.testing.assert_array_equal(np.sign(found.gap[clear]), -np.sign(above[clear]))
+    opening = np.einsum("si,si->s", points - nearest, found.normal)
+    np.testing.assert_allclose(opening[clear], found.gap[clear], atol=1e-9)
+    assert (found.gap[seen & lower & (np.abs(points[:, 0]) < 4)] > 0).all()  # under the arch
 
 
-@pytest.mark.parametrize(("height", "count"), [(-1.0, 0), (0.5 * TRIGGER, 0), (0.2, 60)])
-def test_only_what_is_inside_counts(height, count):
-    rest, faces, regions = strip(-1.0)
-    contacts = Lips(rest, faces, regions).contacts(strip(height)[0])
-    assert contacts.count == pytest.approx(count, abs=6)
-    assert contacts.deepest == (pytest.approx(height) if count else 0)
+@pytest.mark.parametrize(("height", "met"), [(-1.0, False), (0.5 * TRIGGER, False), (0.2, True)])
+def test_only_what_is_inside_counts(height, met):
+    lips = Lips(*strip(-1.0))
+    skin = strip(height)[0]
+    assert lips.meet(skin) == met
+    gap = lips.gaps(skin).gap
+    np.testing.assert_allclose(gap[np.isfinite(gap)], -height, atol=1e-9)
 
 
-def test_a_point_beyond_a_surface_that_faces_it_is_outside():
+def test_a_surface_that_faces_the_same_way_is_no_contact():
     """The outer side of a lip: the point has come out again, or was never in."""
     rest, faces, regions = strip(-1.0)
-    assert Lips(rest, faces[:, ::-1], regions).contacts(strip(0.2)[0]).count == 0
+    faces = np.concatenate([faces[: len(faces) // 2], faces[len(faces) // 2 :, ::-1]])
+    assert not Lips(rest, faces, regions).meet(strip(0.2)[0])
 
 
 def test_lips_that_cross_at_rest_count_where_they_go_deeper():
-    rest, faces, regions = strip(0.2)
-    lips = Lips(rest, faces, regions)
-    assert lips.contacts(strip(0.24)[0]).count == 0
-    assert lips.contacts(strip(0.4)[0]).count > 50
-    deep, faces, regions = strip(1.2)
-    assert Lips(deep, faces, regions).contacts(strip(3.0)[0]).count < 15
+    lips = Lips(*strip(0.2))
+    assert not lips.meet(strip(0.24)[0])
+    assert lips.meet(strip(0.4)[0])
+    assert not Lips(*strip(1.2)).meet(strip(1.9)[0])  # folded, not in contact
 
 
-def test_corners_are_no_candidates(head):
+def test_corners_are_no_samples(head):
     lips = Lips(head.skin, head.template.faces, head.template.regions)
-    lowered = head.skin - np.where(np.isin(np.arange(len(head.skin)), lips._upper), 3.0, 0.0)[:, None] * [0, 1, 0]
     shared = np.intersect1d(*(head.template.regions.vertices[n] for n in ("upper_lip", "lower_lip")))
-    contacts = lips.contacts(lowered)
-    assert contacts.count > 20
-    assert not np.isin(contacts.points, shared).any()
+    assert len(shared)
+    assert np.isin(shared, lips.vertices).all()
+    assert not np.isin(lips.vertices[lips.samples.corners], shared).any()
+
+
+def parting(rest, faces, regions, softness, stiffness=1e6):
+    """Points that move by themselves, each as far as `softness` (88,) says."""
+    lips = Lips(rest, faces, regions)
+    return lips, Parting(lips.gaps, lips.samples, lips.floor, rest, np.diag(softness), stiffness)
+
+
+def test_lips_of_equal_softness_meet_half_way():
+    """Section 3.3.2: both sides go to their average position."""
+    rest, faces, regions = strip(-1.0)
+    rest[44:, [0, 2]] = rest[:44, [0, 2]]  # vertex over vertex
+    _, both = parting(rest, faces, regions, np.ones(88))
+    free = rest + np.where(np.arange(88) < 44, 1.4, 0.0)[:, None] * [0, 1, 0]
+    inner = np.isin(np.arange(44), [4 * i + j for i in range(1, 10) for j in (1, 2)])
+    for found in (both.directly(free, 12), next(both.along(free, 12))):
+        points = free + found.forces
+        assert found.left < 0.05
+        np.testing.assert_allclose(points[:44][inner, 1], 0.2, atol=0.02)
+        np.testing.assert_allclose(points[44:][inner, 1], 0.2, atol=0.02)
+        np.testing.assert_allclose(found.forces.sum(axis=0), 0.0, atol=1e-9)
+
+
+def test_the_softer_lip_gives_way():
+    rest, faces, regions = strip(-1.0)
+    softness = np.r_[np.full(44, 3.0), np.full(44, 1.0)]
+    lips, uneven = parting(rest, faces, regions, softness)
+    free = rest + np.where(np.arange(88) < 44, 1.4, 0.0)[:, None] * [0, 1, 0]
+    moved = softness[:, None] * uneven.directly(free, 12).forces
+    assert -moved[:44, 1].mean() == pytest.approx(3 * moved[44:, 1].mean())
+    assert (lips.gaps(free + moved).gap > -0.05).all()
+
+
+def test_a_lip_wholly_through_the_other_one_is_parted_on_its_way():
+    """5 mm deep, nothing of the one is near the other: only the way tells the side."""
+    rest, faces, regions = strip(-1.0)
+    lips = Lips(rest, faces, regions)
+    apart = np.linalg.norm(rest[:, None] - rest[None], axis=2)
+    soft = np.exp(-0.5 * (apart / 4) ** 2) * (np.arange(88)[:, None] // 44 == np.arange(88) // 44)
+    both = Parting(lips.gaps, lips.samples, lips.floor, rest, soft, 1000.0)
+    free = rest + np.where(np.arange(88) < 44, 6.0, 0.0)[:, None] * [0, 1, 0]
+    found = next(both.along(free, 12))
+    points = free + soft @ found.forces
+    assert found.way == 1
+    inner = [4 * i + j for i in range(1, 10) for j in (1, 2)]
+    np.testing.assert_allclose(points[inner, 1].mean(), 2.5, atol=0.5)
+    assert points[44:, 1].mean() > points[:44, 1].mean() - 0.05
+
+
+def test_complementary_forces():
+    """Against scipy's active set method on the same quadratic programme."""
+    rng = np.random.default_rng(3)
+    for count in (1, 7, 40):
+        root = rng.normal(size=(count, count + 2))
+        matrix, wanted = root @ root.T + 0.01 * np.eye(count), rng.normal(size=count)
+        forces = complementary(matrix, wanted, rng.random(count) < 0.5)
+        lower = np.linalg.cholesky(matrix)
+        expected, _ = nnls(lower.T, np.linalg.solve(lower, wanted))
+        np.testing.assert_allclose(forces, expected, atol=1e-7)
+        assert (matrix @ forces - wanted > -1e-8).all()
+        assert forces @ (matrix @ forces - wanted) == pytest.approx(0, abs=1e-7)
 
 
 def sheet():
@@ -195,7 +264,7 @@ def test_lips_are_parted(head, bones):
     assert depth(head, parted.skin) < 0.1
     assert parted.lips.before > 0.2 > 0.1 > parted.lips.after
     assert "lip" in parted.info.message
-    assert parted.info.status is Status.CONVERGED
+    assert (parted.info.status is Status.CONVERGED) == (parted.lips.way == 1.0)
     moved = np.linalg.norm(parted.vertices - crossed.vertices, axis=1)
     inside = np.setdiff1d(np.arange(len(moved)), head.template.embedding[parted_rows(head)].indices)
     assert moved[inside].max() > 0.1  # the displacement goes on into the tissue
@@ -209,12 +278,29 @@ def parted_rows(head):
 def test_what_is_not_resolved_is_said(head):
     """Lips that are held once only."""
     gradients = np.broadcast_to(np.eye(3), (len(head.template.tets), 3, 3))
-    state = ForwardSimulation(head, ForwardSettings(collision_rounds=1, collision_stiffness=0.5))(
+    state = ForwardSimulation(head, ForwardSettings(collision_rounds=1, collision_stiffness=0.05))(
         gradients, closed(head, 4.0)
     )
+    assert state.lips.after <= state.lips.before
     assert state.info.status is Status.MAX_ITERATIONS
-    assert state.lips.after > 0.1
-    assert f"{state.lips.after:.2f} mm left" in state.info.message
+    assert state.lips.after > 0.1 or state.lips.way < 1
+    assert f"{state.lips.after:.2f} mm left; held where" in state.info.message
+    assert f"after {100 * state.lips.way:.0f} % of their way" in state.info.message
+
+
+@pytest.mark.parametrize("bones", [(8.0, 0.0), (20.0, 0.0), (40.0, 0.0), (0.0, 25.0), (-3.0, 30.0)])
+def test_never_deeper_than_without_contacts(head, bones):
+    gradients = np.broadcast_to(np.eye(3), (len(head.template.tets), 3, 3))
+    motion = closed(head, *bones)
+    state = ForwardSimulation(head)(gradients, motion)
+    crossed = ForwardSimulation(head, ForwardSettings(collisions=False))(gradients, motion)
+    lips = Lips(head.skin, head.template.faces, head.template.regions)
+    assert state.lips.before == pytest.approx(lips.depth(crossed.skin), abs=1e-9)
+    assert state.lips.after == pytest.approx(lips.depth(state.skin), abs=1e-9)
+    assert state.lips.after <= state.lips.before
+    if state.lips.after > 0.1 or state.lips.way < 1:
+        assert state.info.status is Status.MAX_ITERATIONS
+        assert f"{state.lips.after:.2f} mm left" in state.info.message
 
 
 def test_lips_that_do_not_touch_are_left_alone(head):
