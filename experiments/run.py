@@ -11,6 +11,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
+from experiments.collision import CollisionStudy, collide
 from experiments.compute import compute
 from experiments.metrics.metric import Metric
 from experiments.plan import plan
@@ -56,7 +57,16 @@ def _measure(config: DictConfig, folder: Path, console: Console) -> None:
     measure(study, _dataset(config, console), config.backend.threads, folder, console)
 
 
-KINDS: dict[str, Callable[[DictConfig, Path, Console], None]] = {"comparison": _compare, "runtime": _measure}
+def _collide(config: DictConfig, folder: Path, console: Console) -> None:
+    study = CollisionStudy.from_config(_study(config))
+    collide(study, _dataset(config, console), config.backend.threads, folder, console)
+
+
+KINDS: dict[str, Callable[[DictConfig, Path, Console], None]] = {
+    "comparison": _compare,
+    "runtime": _measure,
+    "collision": _collide,
+}
 
 
 def _study(config: DictConfig) -> dict[str, Any]:

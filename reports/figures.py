@@ -22,7 +22,7 @@ from reports.load import MethodFacts, StudyResults
 from retarget.types import FloatArray
 
 WIDTH = 170 / 25.4  # inches: the text width of the report
-_STYLE: Any = {
+STYLE: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 7.5,
     "axes.linewidth": 0.6,
@@ -252,7 +252,7 @@ def _log_steps(low: float, high: float, points: float, apart: float) -> list[flo
 
 @contextmanager
 def _figure(path: Path, width: float, height: float) -> Iterator[Figure]:
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(width, height))
         FigureCanvasSVG(figure)
         yield figure

@@ -75,3 +75,16 @@ def print_runtime(summary: pd.DataFrame, console: Console) -> None:
 
 def _cell(row: pd.Series[float]) -> str:
     return estimate(row["mean"], row["ci_low"], row["ci_high"]).replace("[", "\\[")
+
+
+def print_collisions(summary: pd.DataFrame, console: Console) -> None:
+    """Print depths before and after by pair from the summary of a study of the kind `collision`."""
+    table = Table(
+        title="lips that cross, largest depth in mm", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False
+    )
+    for name in ("pair", "expressions", "cross", "resolved", "before", "after"):
+        table.add_column(name, justify="left" if name == "pair" else "right")
+    for _, row in summary.iterrows():
+        depths = f"{row['depth_before_max_mm']:.2f}", f"{row['depth_after_max_mm']:.2f}"
+        table.add_row(*(str(row[name]) for name in ("pair", "expressions", "crossing", "resolved")), *depths)
+    console.print(table)
