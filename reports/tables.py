@@ -107,25 +107,18 @@ def _test_row(study: StudyResults, r: Mapping[Any, Any]) -> Row:
 
 def measure_rows(study: StudyResults, seed: int) -> list[Row]:
     """What each row of `study.measures` was meant to change, against the reference, by measure and example count."""
-    rows = []
+    rows: list[Row] = []
     reference = study.facts["reference"]
     for method, listed in study.facts.get("measures", {}).items():
         for metric, region in study.measured(listed):
             taken = study.metrics[(study.metrics["metric"] == metric) & (study.metrics["region"] == region)]
             means = study.at(metric, region).set_index(["method", "n_examples"])["mean"]
+            unit = study.unit_of(metric)
             tests = paired_tests(taken, reference, [method], metric, region, seed)
-            for test, row in zip(
-                tests.to_dict("records"), test_rows(study, tests.assign(adjusted=tests["p"])), strict=True
-            ):
-                unit = study.unit_of(metric)
-                rows.append(
-                    row
-                    | {
-                        "measure": f"{metric}, {region}" + (f", {unit}" if unit != "1" else ""),
-                        "mean": number(means.get((method, test["n_examples"]), math.nan)),
-                        "reference": number(means.get((reference, test["n_examples"]), math.nan)),
-                    }
-                )
+            for row in test_rows(study, tests.assign(adjusted=tests["p"])):
+                mine, other = (number(means.get((name, row["count"]), math.nan)) for name in (method, reference))
+                measure = f"{metric}, {region}" + (f", {unit}" if unit != "1" else "")
+                rows.append(row | {"measure": measure, "mean": mine, "reference": other})
     return rows
 
 
@@ -139,12 +132,11 @@ def correspondence_rows(studies: Sequence[StudyResults], seed: int) -> list[Row]
     taken = pd.concat([study.metrics for study in studies])
     taken = taken[(taken["metric"] == metric) & (taken["region"] == region)]
     others = [name for name in by_name if name != "given"]
-    rows = []
+    rows: list[Row] = []
     for method in first.tested:
         mine = taken[taken["method"] == method]
-        tests = paired_tests(
-            mine.assign(method=mine["correspondence"], correspondence=""), "given", others, metric, region, seed
-        )
+        named = mine.assign(method=mine["correspondence"], correspondence="")
+        tests = paired_tests(named, "given", others, metric, region, seed)
         rows += [row | {"method": first.label(method)} for row in test_rows(first, tests.assign(adjusted=tests["p"]))]
     return rows
 

@@ -18,7 +18,7 @@ from reports.findings import findings, supported
 from reports.load import load
 from reports.report import build_report
 from reports.summary import paired_tests
-from reports.tables import region_rows
+from reports.tables import correspondence_rows, measure_rows, region_rows, solve_rows
 from retarget.check import InvalidInput
 from tests.reports.example_study import FAMILY, write_example_study
 
@@ -218,3 +218,75 @@ def test_ticks_of_a_narrow_axis_do_not_touch() -> None:
         ticks = np.log10(figures._log_steps(low, 200, points=110, apart=24))
         assert len(ticks) >= 2
         assert np.diff(ticks).min() * 110 / np.log10(200 / low) >= 24
+
+
+def _bare(folder: Path, **facts: object) -> Path:
+    """An example study of three people without frames, with some entries of study.json set."""
+    write_example_study(folder, identities=3, draws=1, failures=False)
+    (folder / "study.json").write_text(json.dumps(json.loads((folder / "study.json").read_text()) | facts))
+    return folder
+
+
+def test_measures_tables_and_solves_are_printed(tmp_path: Path) -> None:
+    measures = {"delta": [["vertex_l2_max", "lips"]], "lbs": [["never_taken", "lips"]]}
+    folder = _bare(tmp_path / "study", tables=[["vertex_l2_max", "lips"], ["never_taken", "lips"]], measures=measures)
+    cells = pd.read_parquet(folder / "cells.parquet")
+    late = (cells["method"] == "plbs") & (cells["n_examples"] == 5)
+    counts = {"solves": 5, "solves_not_converged": np.where(late, 2, 0), "solves_failed": 0}
+    cells.assign(**counts).to_parquet(folder / "cells.parquet")
+    (study,) = load([folder])
+    rows = measure_rows(study, seed=0)
+    assert [(row["label"], row["count"], row["measure"]) for row in rows] == [
+        ("delta", count, "vertex_l2_max, lips, mm") for count in (5, 15, 30)
+    ]
+    means = study.at("vertex_l2_max", "lips").set_index(["method", "n_examples"])
+    assert rows[0]["mean"] == f"{means.loc[('delta', 5), 'mean']:.3f}"
+    assert rows[0]["reference"] == f"{means.loc[('plbs', 5), 'mean']:.3f}"
+    assert rows[0]["ratio"] == f"{means.loc[('delta', 5), 'ratio']:.2f}"
+    assert solve_rows(study) == [{"label": "plbs", "count": 5, "solves": 30, "late": 12, "failed": 0}]
+    text = " ".join(_pages(build_report([folder])))
+    for words in (
+        "What each row was meant to change",
+        "vertex_l2_max on region lips in mm",
+        "stopped at their iteration",
+    ):
+        assert words in text, words
+    assert "never_taken" not in text
+
+
+def test_correspondences_of_one_study_stand_side_by_side(tmp_path: Path) -> None:
+    folder = _bare(tmp_path / "study")
+    for name, key in (("metrics.parquet", "value"), ("cells.parquet", None), ("summary.csv", "mean")):
+        read, path = (pd.read_csv if name.endswith("csv") else pd.read_parquet), folder / name
+        given = read(path)
+        worse = given.assign(correspondence="embedded", **({key: 2 * given[key]} if key else {}))
+        both = pd.concat([given, worse], ignore_index=True)
+        both.to_csv(path, index=False) if name.endswith("csv") else both.to_parquet(path)
+    given, embedded = load([folder])
+    assert [study.differs for study in (given, embedded)] == ["correspondence=given", "correspondence=embedded"]
+    assert set(embedded.cells["correspondence"]) == set(embedded.metrics["correspondence"]) == {"embedded"}
+    rows = correspondence_rows([given, embedded], seed=0)
+    assert {row["ratio"] for row in rows} == {"2.00"}
+    assert {row["method"] for row in rows} == {given.label(name) for name in given.tested}
+    assert correspondence_rows([given], seed=0) == []
+    text = " ".join(_pages(build_report([folder])))
+    assert "Other source examples against given ones" in text
+    assert "Conditions side by side" in text
+
+
+def test_the_parts_of_a_method_get_pages(tmp_path: Path) -> None:
+    folder = _bare(tmp_path / "study", parts="plbs_residual")
+    for path in folder.glob("plbs_residual-*/frames.npz"):
+        arrays = dict(np.load(path))
+        moved = arrays["truth"] - arrays["target_neutral"]
+        parts = {"part_plbs": arrays["truth"] + 1.0, "part_missing_target": moved, "part_unknown": moved}
+        np.savez_compressed(path, **arrays, **parts)
+    (study,) = load([folder])
+    pages = heads.render_heads(study, tmp_path, "p")
+    assert pages is not None
+    assert [page.n_examples for page in pages.parts] == [5, 15, 30]
+    shown = pages.parts[0].rows[0].heads
+    assert [head.label for head in shown] == ["source", "patchwise blendshapes", "missing, target", "result", "truth"]
+    assert [head.caption for head in shown[:3]] == ["", "1.73", ""]
+    assert all((tmp_path / str(head.image)).exists() for head in shown)
+    assert "Parts of plbs residual: 5 examples" in " ".join(_pages(build_report([folder])))

@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 from rich.console import Console
 
-from reports.terminal import print_summary
+from reports.terminal import print_solves, print_summary
 from reports.text import estimate, number, p_value, seconds
 from tests.reports.example_study import write_example_study
 
@@ -30,6 +30,17 @@ def test_nothing_is_cut_in_a_narrow_terminal(tmp_path: Path) -> None:
     wide, narrow = (_printed(summary, width) for width in (140, 80))
     assert "…" not in narrow
     assert sorted(wide.replace("─", "").split()) == sorted(narrow.replace("─", "").split())
+
+
+def test_correspondences_have_tables_of_their_own_and_solves_are_counted(tmp_path: Path) -> None:
+    summary = pd.read_csv(write_example_study(tmp_path / "study") / "summary.csv")
+    text = _printed(pd.concat([summary, summary.assign(correspondence="embedded")]), 140)
+    assert text.count("region head, given examples") == text.count("region head, embedded examples") == 1
+    assert "given" not in _printed(summary, 140)
+    counts = {"solves": [5, 5, 5], "solves_not_converged": [0, 2, 0], "solves_failed": [0, 1, 0]}
+    file = io.StringIO()
+    print_solves(pd.DataFrame({"method": ["plbs", "adt", "adt"], **counts}), Console(file=file, width=140))
+    assert file.getvalue() == "adt: of 10 solves 2 stopped at the iteration limit, 1 failed\n"
 
 
 def _printed(summary: pd.DataFrame, width: int) -> str:
