@@ -11,6 +11,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
+from experiments.artistic import ArtisticStudy, intervene
 from experiments.collision import CollisionStudy, collide
 from experiments.compute import compute
 from experiments.metrics.metric import Metric
@@ -62,10 +63,16 @@ def _collide(config: DictConfig, folder: Path, console: Console) -> None:
     collide(study, _dataset(config, console), config.backend.threads, folder, console)
 
 
+def _intervene(config: DictConfig, folder: Path, console: Console) -> None:
+    study = ArtisticStudy.from_config(_study(config))
+    intervene(study, _dataset(config, console), config.backend.threads, folder, console)
+
+
 KINDS: dict[str, Callable[[DictConfig, Path, Console], None]] = {
     "comparison": _compare,
     "runtime": _measure,
     "collision": _collide,
+    "artistic": _intervene,
 }
 
 

@@ -22,10 +22,10 @@ from reports.sheet import Picture, PictureRow, Pictures, Table, write_sheet
 from reports.text import number, seconds
 from retarget.types import FloatArray, Pair
 
-SIZE = (520, 440)  # pixels
+SIZE = (560, 390)  # pixels
 BEFORE, AFTER = "#c1121f", "#1d3557"
-AROUND = 27.0  # mm about the middle of the mouth
-WINDOW = 9.0  # mm about the deepest point of a section
+AROUND = 26.0  # mm about the middle of the mouth
+WINDOW = 7.0  # mm about the deepest point of a section
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ def write_collision_sheet(
         [
             Pictures(
                 ("lips cross", "resolved", "section through the deepest point"),
-                (1.0, 1.0, 0.85),
+                (1.0, 1.0, 0.76),
                 rows,
                 "The deepest cases, from as many pairs as there are. Red: collisions left alone, blue: resolved. The "
                 "section is sagittal, seen from the character's left.",
@@ -99,12 +99,12 @@ def _row(case: Case, name: str, work: Path) -> PictureRow:
 def _section_plot(case: Case, path: Path) -> None:
     x, y, z = case.before[case.worst]
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(2.2, 2.2), layout="constrained")
-        axes = figure.add_subplot()
+        figure = Figure(figsize=(1.9, 1.78))
+        axes = figure.add_axes((0.22, 0.2, 0.75, 0.78))
         for skin, color in ((case.before, BEFORE), (case.after, AFTER)):
             axes.add_collection(LineCollection(list(section(skin, case.pair.faces, x) - [z, y]), colors=color, lw=1.2))
         axes.set(xlim=(-WINDOW, WINDOW), ylim=(-WINDOW, WINDOW), aspect="equal")
-        axes.set(xlabel="forward (mm)", ylabel="up (mm)")
+        axes.set(xlabel="forward (mm)", ylabel="up (mm)", xticks=(-5, 0, 5), yticks=(-5, 0, 5))
         FigureCanvasSVG(figure).print_svg(path, metadata={"Date": None})
 
 
@@ -113,12 +113,14 @@ def _spread_plot(spread: pd.DataFrame, path: Path) -> None:
     at = [(low + high) / 2 for low, high in spread.groupby("from_mm")["to_mm"].first().items()]
     mean = grouped["moved_mean_mm"]
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(174 / 25.4, 2.1), layout="constrained")
+        figure = Figure(figsize=(174 / 25.4, 1.6), layout="constrained")
         axes = figure.add_subplot()
         axes.fill_between(at, mean.quantile(0.1), mean.quantile(0.9), color=AFTER, alpha=0.2, lw=0)
         axes.plot(at, mean.median(), "-o", color=AFTER, lw=1.4, ms=3)
         axes.plot(at, grouped["moved_max_mm"].max(), "o", color=BEFORE, ms=3)
-        axes.set(yscale="log", xlabel="distance from the nearest contact (mm)", ylabel="displacement (mm)")
+        axes.set(
+            yscale="log", ylim=(1e-4, None), xlabel="distance from the nearest contact (mm)", ylabel="displacement (mm)"
+        )
         FigureCanvasSVG(figure).print_svg(path, metadata={"Date": None})
 
 

@@ -110,7 +110,7 @@ def render_heads(study: StudyResults, folder: Path, prefix: str, expressions: in
         return None
     counts = sorted({c.n_examples for c in cells})
     first = next((c for c in cells if c.method == study.facts["reference"]), cells[0])
-    limit = _nice(max((float(np.nanquantile(_errors(c), 0.97)) for c in cells if c.method != "neutral"), default=1.0))
+    limit = nice(max((float(np.nanquantile(_errors(c), 0.97)) for c in cells if c.method != "neutral"), default=1.0))
     darkroom = _Darkroom(folder, limit)
     shown = [m for m in study.methods if m.name != "neutral"]
     parts = [shown[i : i + _COLUMNS] for i in range(0, len(shown), _COLUMNS)]
@@ -237,7 +237,7 @@ def _camera(frames: Frames, size: tuple[int, int]) -> Camera:
     return look(points[points[:, 1] >= floor - 4.0], size, turn=24.0, raise_=3.0, margin=0.03)
 
 
-def _nice(value: float) -> float:
+def nice(value: float) -> float:
     """The next larger of 1, 1.5, 2, 3, 4, 5, 7 times a power of ten."""
     if not np.isfinite(value) or value <= 0:
         return 1.0

@@ -88,3 +88,14 @@ def print_collisions(summary: pd.DataFrame, console: Console) -> None:
         depths = f"{row['depth_before_max_mm']:.2f}", f"{row['depth_after_max_mm']:.2f}"
         table.add_row(*(str(row[name]) for name in ("pair", "expressions", "crossing", "resolved")), *depths)
     console.print(table)
+
+
+def print_edits(summary: pd.DataFrame, console: Console) -> None:
+    """Print what each edit moves from the summary of a study of the kind `artistic`."""
+    table = Table(title="displacement by edits", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for name in ("edit", "mean mm", "largest mm", "share moved", "status"):
+        table.add_column(name, justify="left" if name == "edit" else "right")
+    for _, row in summary.iterrows():
+        moved = f"{row['moved_mean_mm']:.3f}", f"{row['moved_max_mm']:.2f}", f"{row['moved_share']:.0%}"
+        table.add_row(str(row["edit"]), *moved, str(row["status"]))
+    console.print(table)

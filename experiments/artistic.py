@@ -1,0 +1,152 @@
+"""Artistic control of one result (Fig. 15 of the paper): edits, each beside the result without it."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from rich.console import Console
+
+from experiments.backend import limited_threads
+from experiments.catalogue import make_method, options
+from experiments.progress import Advance, print_path, progress
+from experiments.protocol import draw
+from reports.artistic_sheet import Panel, write_artistic_sheet
+from reports.terminal import print_edits
+from retarget.artistic import Edits
+from retarget.check import InvalidInput
+from retarget.geometry.patches import contiguous_patches
+from retarget.geometry.space_warp import space_warp
+from retarget.io.files import write_whole
+from retarget.suggest import choose
+from retarget.types import Examples, Fitted, FloatArray, IntArray, Pair, RetargetResult
+from synth_data.dataset import Dataset
+
+MOVED = 0.1  # mm: what moves less has not
+
+
+@dataclass(frozen=True)
+class ArtisticStudy:
+    """``conf/study/artistic.yaml``."""
+
+    name: str
+    title: str
+    description: str
+    seed: int
+    method: str
+    template: str
+    n_examples: int
+    expression: str
+    edits: Mapping[str, Mapping[str, Any]]
+
+    @staticmethod
+    def from_config(config: Mapping[str, Any]) -> ArtisticStudy:
+        """Raises InvalidInput for a value that the study cannot have."""
+        study = ArtisticStudy(**config)
+        if not isinstance(study.n_examples, int) or isinstance(study.n_examples, bool) or study.n_examples < 0:
+            raise InvalidInput(f"study.n_examples: expected a whole number of at least 0, got {study.n_examples!r}.")
+        if not isinstance(study.edits, Mapping) or not study.edits:
+            raise InvalidInput(f"study.edits: expected edits by their titles, got {study.edits!r}.")
+        choose("study.method", study.method, options("method"))
+        choose("study.template", study.template, ("coarse", "paper"))
+        return study
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One expression of a pair, and the method that retargets it."""
+
+    pair: Pair
+    fitted: Fitted
+    frame: FloatArray  # (1, n, 3) mm of the source
+    unedited: RetargetResult
+
+    @property
+    def contour(self) -> IntArray:
+        """(k,) skin vertices."""
+        return np.asarray(self.pair.regions.loops["lip_contour"], dtype=np.int64)
+
+
+def intervene(study: ArtisticStudy, dataset: Dataset, threads: int, folder: Path, console: Console) -> None:
+    """Run the study and write ``summary.csv`` and ``artistic.pdf``."""
+    with limited_threads(threads), progress(console, "edits", len(study.edits)) as advance:
+        panels = edited(study, scene(study, dataset), advance)
+    table = pd.DataFrame([{"edit": panel.title, **panel.numbers} for panel in panels])
+    write_whole(folder / "summary.csv", lambda path: table.to_csv(path, index=False))
+    with tempfile.TemporaryDirectory(prefix="sheet-") as work:
+        source, target = dataset.identities[:2]
+        what = (
+            f"{study.description} Expression {study.expression} of {source} on {target}, {study.n_examples} examples."
+        )
+        write_artistic_sheet(folder / "artistic.pdf", study.title, what, panels, Path(work))
+    print_edits(table, console)
+    for name in ("summary.csv", "artistic.pdf"):
+        print_path(folder / name, console)
+
+
+def scene(study: ArtisticStudy, dataset: Dataset) -> Scene:
+    """The first identity performs, the second answers."""
+    expression = dataset.expressions.index(choose("study.expression", study.expression, dataset.expressions))
+    source, target = dataset.identities[:2]
+    pair = Pair(dataset.faces, dataset.neutral(source), dataset.neutral(target), dataset.regions)
+    order = draw(source, target, 0, len(dataset.expressions), 0, study.seed).order
+    examples = [i for i in order if i != expression][: study.n_examples]
+    known = Examples(dataset.frames(target, examples), dataset.frames(source, examples))
+    frame = dataset.frames(source, [expression])
+    fitted = make_method(study.method, template=study.template).prepare(pair).fit(known, frame)
+    return Scene(pair, fitted, frame, fitted(frame))
+
+
+def edited(study: ArtisticStudy, of: Scene, advance: Advance = lambda count: None) -> list[Panel]:
+    """A panel for each edit."""
+    panels = []
+    for title, edits in study.edits.items():
+        started = time.perf_counter()
+        result = of.fitted(of.frame, edits)
+        took = time.perf_counter() - started
+        before, after = of.unedited.frames[0], result.frames[0]
+        moved = np.linalg.norm(after - before, axis=1)
+        regions = of.pair.regions.vertices
+        seen = regions.get("head", np.arange(len(moved)))
+        control, wanted = _wanted(of, edits, before)
+        numbers: dict[str, Any] = {
+            "moved_mean_mm": moved[seen].mean(),
+            "moved_max_mm": moved[seen].max(),
+            "moved_share": (moved[seen] > MOVED).mean(),
+            "cranium_max_mm": moved[regions["cranium"]].max() if "cranium" in regions else np.nan,
+            "contour_before_mm": _mean_distance(before[of.contour], wanted),
+            "contour_after_mm": _mean_distance(after[of.contour], wanted),
+            "contour_after_max_mm": _distance(after[of.contour], wanted).max(initial=0.0) if len(wanted) else np.nan,
+            "status": str(result.info[0].status),
+            "iterations": result.info[0].iterations,
+            "seconds": took,
+        }
+        panels.append(Panel(title, edits, numbers, of.pair, before, after, control, wanted))
+        advance(1)
+    return panels
+
+
+def _wanted(of: Scene, edits: Mapping[str, Any], before: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Control points on the contour, and the contour (k, 3) mm that they ask for; nothing without any."""
+    patches = contiguous_patches(of.pair.faces, len(before), 80)
+    control = Edits.of(edits, of.pair.regions, patches).control
+    leads = np.isin(control.vertices, of.contour)
+    if not leads.any():
+        return control.vertices, np.empty((0, 3))
+    warp = space_warp(before[control.vertices[leads]], control.displacements(before)[leads])
+    return control.vertices, before[of.contour] + warp(before[of.contour])
+
+
+def _distance(points: FloatArray, wanted: FloatArray) -> FloatArray:
+    distances: FloatArray = np.linalg.norm(points - wanted, axis=1)
+    return distances
+
+
+def _mean_distance(points: FloatArray, wanted: FloatArray) -> float:
+    return float(_distance(points, wanted).mean()) if len(wanted) else float("nan")
