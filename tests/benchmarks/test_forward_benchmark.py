@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from retarget.anatomy.head import Head
 from retarget.simulation.bones import pivot
 from retarget.simulation.characteristics import FacialCharacteristics
-from retarget.simulation.collisions import Held
+from retarget.simulation.collisions import TRIGGER
 from retarget.simulation.condensed import SoftProblem, SoftRows, SoftSystem
 from retarget.simulation.factor import factorise
 from retarget.simulation.forward import ForwardSettings, ForwardSimulation
@@ -87,19 +87,27 @@ def test_lip_depth(benchmark, block):
 
 @pytest.mark.benchmark(group=GROUP)
 def test_lip_detection(benchmark, block):
-    skin = block.heedless(block.still, block.crossed).skin
-    contacts = benchmark.pedantic(block.forward._lips.contacts, (skin,), rounds=30, warmup_rounds=2)
-    benchmark.extra_info["contacts"] = contacts.count
+    lips = block.forward._lips
+    points = block.heedless(block.still, block.crossed).skin[lips.vertices]
+    found = benchmark.pedantic(lips.gaps, (points,), rounds=30, warmup_rounds=2)
+    benchmark.extra_info["samples"] = lips.samples.count
+    assert found.gap.min() < -0.1
 
 
 class Contact:
-    """What changes when lips meet: rows that hold contacts, and their goals."""
+    """What changes when lips meet: rows from samples to where they meet the other lip, and their goals, 0."""
 
     def __init__(self, block: Block) -> None:
         forward = block.forward
         free = block.heedless(block.still, block.crossed)
-        held = Held.none().renewed(forward._lips.contacts(free.skin), free.skin, 1.0)
-        self.onto_skin, self.goals = held.rows(len(block.head.skin))
+        lips = forward._lips
+        found = lips.gaps(free.skin[lips.vertices])
+        use = np.flatnonzero(lips.floor - found.gap > TRIGGER)
+        columns = lips.vertices[np.hstack([lips.samples.corners[use], found.corners[use]])]
+        values = np.hstack([lips.samples.weights[use], -found.weights[use]])
+        shape = len(use), len(block.head.skin)
+        self.onto_skin = sp.csr_array((values.ravel(), columns.ravel(), 6 * np.arange(len(use) + 1)), shape=shape)
+        self.goals = np.zeros((len(use), 3))
         self.weight = 10 / np.mean(np.diag(forward._system.compliance))
         self.points = forward._terms.points @ free.vertices + forward._terms.offset
         self.free = free.vertices
