@@ -56,6 +56,7 @@ class AnaConDaR(AnatomySettings, Retargeter):
     METIS patches, drawn with seed. The others are those of `AnatomySettings`.
     missing: see `Missing`. missing_collisions: resolve those of the lips in T_i^M as well. held: see `Held`.
     completed, sharpness, caution: see `Evidence`. source_anacon: anacon on S_i^P before eq. (4), section 4.5.
+    anacon: False returns the draft T_i^P + T_i^M - T.
     Raises InvalidInput for settings out of range, and from `prepare` for heads that cannot be fitted.
     """
 
@@ -71,6 +72,7 @@ class AnaConDaR(AnatomySettings, Retargeter):
     sharpness: float = 1.0
     caution: float = 4.0
     source_anacon: bool = False
+    anacon: bool = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -198,7 +200,9 @@ class _Fitted:
                 carried = method.dt.displacements(missing[None])[0]
         draft = anacon.strengthened(blended + carried)
 
-        result, solves["anacon"] = self._anacon(expression, rebuilt, draft, near, anacon)  # eqs (6), (19)
+        result = draft
+        if method.rules.anacon:
+            result, solves["anacon"] = self._anacon(expression, rebuilt, draft, near, anacon)  # eqs (6), (19)
         return _Expression(rebuilt, carried, draft, result, solves)
 
     def _anacon(

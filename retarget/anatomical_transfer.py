@@ -142,8 +142,10 @@ class AnatomicalTransfer:
 def joined(parts: dict[str, SolveInfo]) -> SolveInfo:
     """Several solves of one expression as one: the worst status, iterations added up, the energy of the last.
 
-    The message names each with its status and iterations.
+    The message names each with its status and iterations. No solve at all has converged.
     """
+    if not parts:
+        return SolveInfo()
     infos = list(parts.values())
     words = (
         f"{name} {info.status} in {info.iterations}" + (f" ({info.message})" if info.message else "")
