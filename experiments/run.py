@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, cast
 
+import pandas as pd
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
@@ -20,10 +21,12 @@ from experiments.progress import print_path
 from experiments.runtime import RuntimeStudy, measure
 from experiments.study import Study
 from experiments.tables import collect, write_tables
+from experiments.tuning import Tuning, check_identities, chosen_yaml, trial_table
 from reports.report import build_report
-from reports.terminal import print_solves, print_summary
+from reports.terminal import print_solves, print_summary, print_tuning
+from reports.tuning_sheet import build_tuning_sheet
 from retarget.check import InvalidInput
-from retarget.io.files import check_folder
+from retarget.io.files import check_folder, write_whole
 from retarget.suggest import choose
 from synth_data.dataset import Dataset
 
@@ -35,8 +38,39 @@ def run(config: DictConfig, folder: Path, console: Console) -> None:
 
 
 def _compare(config: DictConfig, folder: Path, console: Console) -> None:
-    started = datetime.now(UTC)
     study = Study.from_config(_study(config))
+    tables, summary = _finished(study, config, folder, console)
+    print_summary(summary, console, metric=study.primary_metric, region=study.primary_region)
+    print_solves(tables[1], console)
+    for name in ("metrics.parquet", "summary.csv"):
+        print_path(folder / name, console)
+    if config.report:
+        print_path(build_report([folder], None, lambda line: console.print(f"  {line}")), console)
+
+
+def _tune(config: DictConfig, folder: Path, console: Console) -> None:
+    check_identities(_plain(config.dataset))
+    tuning = Tuning.from_config(_study(config), dict(_chosen(config, "method")))
+    tables, _ = _finished(tuning.study, config, folder, console)
+    trials = trial_table(tuning, *tables)
+    lines = chosen_yaml(tuning, trials)
+    write_whole(folder / "trials.csv", lambda temporary: trials.to_csv(temporary, index=False))
+    write_whole(folder / "chosen.yaml", lambda temporary: temporary.write_text(lines))
+    print_tuning(trials, console)
+    print_solves(tables[1], console)
+    console.print("\nfor experiments/conf/method, nothing there was changed:\n")
+    console.print(lines, markup=False, highlight=False)
+    for name in ("trials.csv", "chosen.yaml"):
+        print_path(folder / name, console)
+    if config.report:
+        print_path(build_tuning_sheet(folder), console)
+
+
+def _finished(
+    study: Study, config: DictConfig, folder: Path, console: Console
+) -> tuple[tuple[pd.DataFrame, pd.DataFrame], pd.DataFrame]:
+    """(metrics, cells) and the summary of a study of rows and pairs, once every cell is computed."""
+    started = datetime.now(UTC)
     methods = study.rows(dict(_chosen(config, "method")))
     study.check_rows([row.name for row in methods])
     metrics = {name: (cast(Metric, instantiate(settings)), settings) for name, settings in _chosen(config, "metric")}
@@ -44,13 +78,7 @@ def _compare(config: DictConfig, folder: Path, console: Console) -> None:
     planned = plan(study, dataset, methods, metrics, folder)
     compute(planned, instantiate(config.backend), console)
     tables = collect(planned)
-    summary = write_tables(planned, tables, _plain(config), started)
-    print_summary(summary, console, metric=study.primary_metric, region=study.primary_region)
-    print_solves(tables[1], console)
-    for name in ("metrics.parquet", "summary.csv"):
-        print_path(folder / name, console)
-    if config.report:
-        print_path(build_report([folder], None, lambda line: console.print(f"  {line}")), console)
+    return tables, write_tables(planned, tables, _plain(config), started)
 
 
 def _measure(config: DictConfig, folder: Path, console: Console) -> None:
@@ -70,6 +98,7 @@ def _intervene(config: DictConfig, folder: Path, console: Console) -> None:
 
 KINDS: dict[str, Callable[[DictConfig, Path, Console], None]] = {
     "comparison": _compare,
+    "tuning": _tune,
     "runtime": _measure,
     "collision": _collide,
     "artistic": _intervene,

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from reports.text import estimate
+from reports.text import number as number_text
 
 _WIDE = 100  # columns from which an estimate and its interval fit on one line
 
@@ -98,4 +99,38 @@ def print_edits(summary: pd.DataFrame, console: Console) -> None:
     for _, row in summary.iterrows():
         moved = f"{row['moved_mean_mm']:.3f}", f"{row['moved_max_mm']:.2f}", f"{row['moved_share']:.0%}"
         table.add_row(str(row["edit"]), *moved, str(row["status"]))
+    console.print(table)
+
+
+def print_tuning(trials: pd.DataFrame, console: Console) -> None:
+    """Print what was chosen from the trials of a study of the kind `tuning`, beside the present and the smallest."""
+    errors = [name for name in trials.columns if name.startswith("error_")]
+    counts = " / ".join(name.removeprefix("error_") for name in errors)
+    table = Table(
+        title=f"error in mm with {counts} examples, and its mean",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+    )
+    table.add_column("method", no_wrap=True)
+    for name in ("trial", "error", "mean", "failed"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for method, mine in trials.groupby("method", sort=False):
+        trial = mine["trial"]
+        kinds = {"chosen": mine["chosen"], "present": trial == 0, "smallest": mine["error"] == mine["error"].min()}
+        shown = dict.fromkeys(index for kind in kinds.values() for index in mine.index[kind.fillna(False)])
+        if trial.isna().all():
+            shown = dict.fromkeys(mine.index)
+        for number, index in enumerate(shown):
+            row = mine.loc[index]
+            said = ", ".join(name for name, kind in kinds.items() if kind.fillna(False)[index]) or "for comparison"
+            if pd.notna(row["trial"]):
+                said = f"{row['trial']}: {said}"
+            table.add_row(
+                "" if number else str(method),
+                said,
+                " / ".join(number_text(row[name]) for name in errors),
+                number_text(row["error"], 4),
+                str(row["n_failed"] or ""),
+            )
     console.print(table)
