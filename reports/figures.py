@@ -59,7 +59,7 @@ def box_plot(study: StudyResults, path: Path) -> None:
     """Errors grouped by example count, one box per method over pairs, as in Fig. 10; each pair is a dot."""
     values, methods = pair_values(study), _drawn(study)
     counts = study.facts["n_examples"]
-    with _figure(path, WIDTH, 3.25) as figure:
+    with canvas(path, WIDTH, 3.25) as figure:
         axes = figure.add_axes((0.095, 0.22, 0.9, 0.75))
         step = 0.84 / max(len(methods), 1)
         for group, count in enumerate(counts):
@@ -85,7 +85,7 @@ def box_plot(study: StudyResults, path: Path) -> None:
 def example_effect(study: StudyResults, path: Path) -> None:
     """Mean error with its 95 % interval over the number of examples, on a logarithmic scale that holds the methods."""
     primary, methods, counts = study.primary, _drawn(study), study.facts["n_examples"]
-    with _figure(path, WIDTH, 2.75) as figure:
+    with canvas(path, WIDTH, 2.75) as figure:
         axes = figure.add_axes((0.095, 0.29, 0.9, 0.67))
         spread = 0.3 / max(len(methods), 1)
         lows, highs = [], []
@@ -121,7 +121,7 @@ def ratio_plot(study: StudyResults, tests: pd.DataFrame, path: Path) -> None:
     """
     values, counts = pair_values(study), study.facts["n_examples"]
     names = [m for m in study.methods if m.name in set(tests["method"])]
-    with _figure(path, WIDTH, 0.65 + 0.22 * max(len(names), 1)) as figure:
+    with canvas(path, WIDTH, 0.65 + 0.22 * max(len(names), 1)) as figure:
         panels = figure.subplots(1, len(counts), sharey=True, squeeze=False)[0]
         bottom = 0.47 / figure.get_figheight()
         figure.subplots_adjust(left=0.2, right=0.99, bottom=bottom, top=1 - 0.2 / figure.get_figheight(), wspace=0.08)
@@ -251,7 +251,8 @@ def _log_steps(low: float, high: float, points: float, apart: float) -> list[flo
 
 
 @contextmanager
-def _figure(path: Path, width: float, height: float) -> Iterator[Figure]:
+def canvas(path: Path, width: float, height: float) -> Iterator[Figure]:
+    """A figure that is written as SVG; sizes in inches."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(width, height))
         FigureCanvasSVG(figure)
