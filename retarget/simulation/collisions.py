@@ -114,7 +114,7 @@ def _with_inner_sides(
     rest: FloatArray, faces: IntArray, upper: IntArray, lower: IntArray, visible: IntArray | None
 ) -> tuple[IntArray, IntArray]:
     """Both lips with the hidden vertices that clearly lie behind them: along the surface at most REACH away, and nearer
-    than the other lip; and one ring around, whose inner edge is then no rim."""
+    than the other lip."""
     hidden = np.ones(len(rest), dtype=bool)
     hidden[np.arange(len(rest)) if visible is None else visible] = False
     edges = vertex_adjacency(faces, len(rest)).tocoo()
@@ -124,9 +124,4 @@ def _with_inner_sides(
     to_upper, to_lower = (dijkstra(graph, indices=lip, min_only=True, limit=REACH) for lip in (upper, lower))
     upper = np.union1d(upper, np.flatnonzero(hidden & (to_upper < to_lower)))
     lower = np.union1d(lower, np.flatnonzero(hidden & (to_lower < to_upper)))
-    around = [np.setdiff1d(edges.col[np.isin(edges.row, lip)], lip) for lip in (upper, lower)]
-    others = np.union1d(np.intersect1d(around[0], around[1]), np.union1d(upper, lower))
-    upper, lower = (
-        np.union1d(lip, np.setdiff1d(ring, others)) for lip, ring in zip((upper, lower), around, strict=True)
-    )
     return upper, lower
