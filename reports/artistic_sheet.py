@@ -16,8 +16,9 @@ from reports.sheet import Picture, PictureRow, Pictures, Table, write_sheet
 from reports.text import number, seconds
 from retarget.types import FloatArray, IntArray, Pair
 
-SIZE = (560, 560)  # pixels
+SIZE = (640, 470)  # pixels
 TARGET = "#c1121f"
+FRAMED = ("brows", "nose", "cheeks", "lips")  # what the pictures hold
 VIEW = {"turn": 22.0, "raise_": 3.0}
 
 
@@ -50,7 +51,10 @@ def write_artistic_sheet(path: Path, title: str, description: str, panels: Seque
 def _row(panel: Panel, name: str, work: Path) -> PictureRow:
     faces, regions = panel.pair.faces, panel.pair.regions
     seen = regions.vertices.get("face", np.arange(len(panel.before)))
-    camera = look(np.concatenate([panel.before[seen], panel.after[seen]]), SIZE, margin=0.01, **VIEW)
+    framed = np.concatenate([regions.vertices[name] for name in FRAMED if name in regions.vertices] or [seen])
+    framed = np.append(framed, [regions.landmarks[name] for name in ("menton",) if name in regions.landmarks])
+    framed = framed.astype(np.int64)
+    camera = look(np.concatenate([panel.before[framed], panel.after[framed]]), SIZE, margin=0.0, **VIEW)
     moved = np.linalg.norm(panel.after - panel.before, axis=1)
     limit = nice(float(np.quantile(moved[seen], 0.99)))
     before = render_mesh(panel.before, faces, camera, SIZE)
@@ -61,11 +65,10 @@ def _row(panel: Panel, name: str, work: Path) -> PictureRow:
     map_ = render_mesh(panel.after, faces, camera, SIZE, vertex_values=moved, limits=(0.0, limit))
     for when, image in (("before", before), ("after", after), ("map", map_)):
         write_image(work / f"{name}-{when}.jpg", image)
-    text = f"{number(panel.numbers['moved_mean_mm'], 2)} mm on average"
     pictures = (
         Picture(f"{name}-before.jpg"),
         Picture(f"{name}-after.jpg"),
-        Picture(f"{name}-map.jpg", text, number(limit, 2).rstrip("0").rstrip(".")),
+        Picture(f"{name}-map.jpg", "", number(limit, 2).rstrip("0").rstrip(".")),
     )
     return PictureRow(pictures, f"{panel.title}: {_words(panel.edits)}")
 
@@ -75,7 +78,7 @@ def _with_target(image: Image, panel: Panel, skin: FloatArray, camera: Camera) -
     shown = visible(skin[contour], skin, panel.pair.faces, camera, lift=1.5)
     image = draw_lines(image, camera.project(panel.wanted, SIZE), TARGET, 2.4, shown=shown)
     at = [int(np.flatnonzero(contour == v)[0]) for v in panel.control if v in contour and shown[contour == v][0]]
-    return draw_points(image, camera.project(panel.wanted[at], SIZE), "white", 4.0, edge=TARGET) if at else image
+    return draw_points(image, camera.project(panel.wanted[at], SIZE), "white", 6.0, edge=TARGET) if at else image
 
 
 def _words(edits: Mapping[str, Any]) -> str:
@@ -83,7 +86,7 @@ def _words(edits: Mapping[str, Any]) -> str:
     parts = []
     for name, value in edits.items():
         if name == "gravity":
-            parts.append("gravity " + ", ".join(number(float(g), 1) for g in value) + " m/s²")
+            parts.append("(" + ", ".join(f"{float(g):g}" for g in value) + ") m/s²")
         elif name in ("stiffness", "patch_weights"):
             word = "stiffness" if name == "stiffness" else "strength"
             parts.append(", ".join(f"{word} of {region} × {factor:g}" for region, factor in value.items()))
