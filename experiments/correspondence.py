@@ -90,7 +90,7 @@ class Embedded:
         self._done: dict[tuple[str, str], tuple[FloatArray, float]] = {}
 
     def __call__(self, known: Known) -> Found:
-        """Raises InvalidInput where the transfer cannot serve the pair or fails for an example."""
+        """Raises InvalidInput where the transfer cannot serve the pair, RuntimeError where it fails for an example."""
         examples, seconds, solves = np.empty_like(known.target_examples), 0.0, []
         for number, name in enumerate(known.names):
             _, solve, carrying = self._carry(name, known.target_examples[number])
@@ -126,7 +126,7 @@ class Embedded:
             result = transfer(example[None])
             info = result.info[0]
             if info.status is Status.FAILED:
-                raise InvalidInput(f"embedding of {name}: {info.message or 'its transfer failed without a reason'}.")
+                raise RuntimeError(f"embedding of {name}: {info.message or 'its transfer failed without a reason'}.")
             self._carried[name] = result.frames[0], info, time.perf_counter() - start
         return self._carried[name]
 

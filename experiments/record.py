@@ -31,8 +31,8 @@ class Record:
     """What one cell left behind.
 
     header: schema, cell (id), code, data (fingerprint), status, reason, config, versions, prediction (SHA-256 of
-    the retargeted frames), solves (status per frame), directions, prepare_seconds, fit_seconds,
-    seconds_per_expression, peak_memory_mb.
+    the retargeted frames), solves (status per frame), correspondence_solves (status per embedded example), directions,
+    prepare_seconds, correspondence_seconds, fit_seconds, seconds_per_expression, peak_memory_mb.
     rows: the columns METRIC_COLUMNS, one row per expression, metric and region.
     """
 

@@ -19,7 +19,7 @@ from rich.console import Console
 
 from experiments import plan as plan_module
 from experiments.backend import Backend, Joblib, Serial
-from experiments.catalogue import composed, method_settings, options
+from experiments.catalogue import composed, method_settings
 from experiments.compute import compute
 from experiments.correspondence import Embedded, EmbeddingSettings, Known
 from experiments.metrics.eye_aperture import EyeAperture
@@ -100,7 +100,8 @@ class DeltaPrepared:
         frames = self.pair.target_neutral + source_frames - self.pair.source_neutral
         if self.mischief == "nan":
             frames[0, 0] = np.nan
-        status = Status.MAX_ITERATIONS if self.mischief == "slow" else Status.CONVERGED
+        ended = {"slow": Status.MAX_ITERATIONS, "lost": Status.FAILED}
+        status = ended.get(self.mischief, Status.CONVERGED)
         return RetargetResult(frames, tuple(SolveInfo(status, 3, (2.0, 1.0)) for _ in frames))
 
 
@@ -469,6 +470,10 @@ def test_an_embedding_that_fails_is_a_reason_and_leaves_the_references_alone(tmp
     status = cells.groupby(["method", "correspondence"])["status"].unique().map(set)
     assert status["plbs", "embedded"] == {"failed"}
     assert status["plbs", "given"] == status["neutral", "embedded"] == {"ok"}
+    lost = replace(study, embedding=EmbeddingSettings(Delta("lost"), None, 1e-6))
+    _, cells = run(plan(lost, toy(), lost.rows({"plbs": PLBS}), METRIC, tmp_path / "lost"))
+    reasons = cells[(cells["method"] == "plbs") & (cells["correspondence"] == "embedded")]["reason"]
+    assert reasons.str.contains("embedding of expression_.*: its transfer failed").all()
     unable = replace(study, embedding=EmbeddingSettings(Unable(), None, 1e-6))
     _, cells = run(plan(unable, toy(), unable.rows({"plbs": PLBS}), METRIC, tmp_path / "unable"))
     refused = cells[(cells["method"] == "plbs") & (cells["correspondence"] == "embedded")]
@@ -482,7 +487,7 @@ class Unable(Retargeter):
         raise InvalidInput("no head can be made of it")
 
 
-@pytest.mark.parametrize("name", [name for name in options("study") if name != "runtime"])
+@pytest.mark.parametrize("name", ["quantitative", "ci", "ablation", "embedding", "sensitivity"])
 def test_every_study_of_comparison_can_be_planned(name: str) -> None:
     """Its methods, variants, families and measures exist; report and gate compose it as well."""
     config = composed("run", [f"study={name}"])
@@ -493,3 +498,12 @@ def test_every_study_of_comparison_can_be_planned(name: str) -> None:
     assert set(study.measures) <= set(rows)
     for command in ("report", "gate"):
         assert composed(command, [f"study={name}"]).study.name == name
+
+
+def test_how_solves_ended_is_counted_for_every_cell(tmp_path: Path) -> None:
+    methods: dict[str, Retargeter] = {"delta": Delta(), "slow": Delta("slow"), "lost": Delta("lost")}
+    _, cells = run(planned(tmp_path, methods=methods))
+    counts = ["solves", "solves_not_converged", "solves_failed"]
+    for method, expected in {"delta": (3, 0, 0), "slow": (3, 3, 0), "lost": (3, 0, 3)}.items():
+        assert (cells.loc[cells["method"] == method, counts] == expected).all(axis=None)
+    assert set(cells[cells["method"] == "lost"]["status"]) == {"failed"}
