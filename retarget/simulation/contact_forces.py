@@ -122,7 +122,7 @@ class Parting:
             deeper = self._floor - found.gap
             before, worst = worst, float(deeper.max(initial=0.0))
             new = deeper > TOLERANCE
-            hopeless = turn > 2 and worst > goal and worst > 0.9 * before
+            hopeless = turn > 6 and worst > goal and worst > 0.9 * before
             if turn == rounds or hopeless or (not new.any() and (turn > 0 or not touching.any())):
                 break
             known |= new

@@ -93,8 +93,7 @@ def test_expressions_come_back_and_lips_are_apart(head, forward, formed, name):
     np.testing.assert_allclose(plain.vertices, vertices, atol=1e-8)
     pair = Pair(head.template.faces, head.skin, head.skin, head.template.regions)
     state = forward(gradients, bones, characteristics=FacialCharacteristics(pair)(skin))
-    assert (state.info.status is Status.CONVERGED) == (state.lips.way == 1.0)
-    assert state.lips.way == 1.0 or (name == "purse" and state.lips.way > 0.8)  # held on the way: reported
+    assert state.info.status is Status.CONVERGED
     assert (np.diff(state.info.energy) <= 1e-9 * state.info.energy[0]).all()
     assert (state.lips.before > 0.3) == (name in CROSSED)
     assert (depth(head, plain.skin) > 0.3) == (name in CROSSED)
