@@ -505,5 +505,5 @@ def test_how_solves_ended_is_counted_for_every_cell(tmp_path: Path) -> None:
     _, cells = run(planned(tmp_path, methods=methods))
     counts = ["solves", "solves_not_converged", "solves_failed"]
     for method, expected in {"delta": (3, 0, 0), "slow": (3, 3, 0), "lost": (3, 0, 3)}.items():
-        assert (cells.loc[cells["method"] == method, counts] == expected).all(axis=None)
+        assert (cells.loc[cells["method"] == method, counts].to_numpy() == expected).all()
     assert set(cells[cells["method"] == "lost"]["status"]) == {"failed"}
