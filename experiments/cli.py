@@ -98,8 +98,12 @@ def run(config: DictConfig) -> None:
 @with_readable_errors
 def report(config: DictConfig) -> None:
     from reports.report import build_report
+    from reports.tuning_sheet import build_tuning_sheet
 
     console = Console()
+    if config.study.kind == "tuning" and not config.inputs:
+        print_path(build_tuning_sheet(results_folder(config)), console)
+        return
     inputs = [Path(folder).absolute() for folder in config.inputs or [f"{config.paths.results}/{config.study.name}"]]
     output = Path(config.output).absolute() if config.output else None
     print_path(build_report(inputs, output, console.print), console)

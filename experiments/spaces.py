@@ -156,14 +156,12 @@ class Space:
 
     @property
     def _present(self) -> Trial:
-        values = {name: one.present for name, one in self.searched.items()}
-        return Trial(
-            values, values | {name: value for one in self.searched.values() for name, value in one.also.items()}
-        )
+        every = {k: v for name, one in self.searched.items() for k, v in {name: one.present, **one.also}.items()}
+        return Trial({name: one.present for name, one in self.searched.items()}, every)
 
     def _trial(self, values: Mapping[str, Any]) -> Trial:
-        followed = {name: values[setting] for setting, one in self.searched.items() for name in one.also}
-        return Trial(values, {**values, **followed})
+        every = {setting: values[name] for name, one in self.searched.items() for setting in (name, *one.also)}
+        return Trial(values, every)
 
 
 def _searched(where: str, described: object, setting: str, present: Mapping[str, Any]) -> Searched:

@@ -7,8 +7,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from reports.text import estimate
-from reports.text import number as number_text
+from reports.text import estimate, number
 
 _WIDE = 100  # columns from which an estimate and its interval fit on one line
 
@@ -103,34 +102,29 @@ def print_edits(summary: pd.DataFrame, console: Console) -> None:
 
 
 def print_tuning(trials: pd.DataFrame, console: Console) -> None:
-    """Print what was chosen from the trials of a study of the kind `tuning`, beside the present and the smallest."""
+    """Print the error of the chosen trial of each method beside the present one and the smallest.
+
+    trials: of a study of the kind `tuning`, as in its ``trials.csv``.
+    """
     errors = [name for name in trials.columns if name.startswith("error_")]
     counts = " / ".join(name.removeprefix("error_") for name in errors)
-    table = Table(
-        title=f"error in mm with {counts} examples, and its mean",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        pad_edge=False,
-    )
-    table.add_column("method", no_wrap=True)
-    for name in ("trial", "error", "mean", "failed"):
-        table.add_column(name, justify="right", no_wrap=True)
+    title = f"error in mm with {counts} examples; mean over them. Trial 0 is as it is now"
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    for name in ("method", "trial", "error", "mean", "present", "best"):
+        table.add_column(name, justify="left" if name == "method" else "right", no_wrap=True)
     for method, mine in trials.groupby("method", sort=False):
-        trial = mine["trial"]
-        kinds = {"chosen": mine["chosen"], "present": trial == 0, "smallest": mine["error"] == mine["error"].min()}
-        shown = dict.fromkeys(index for kind in kinds.values() for index in mine.index[kind.fillna(False)])
-        if trial.isna().all():
-            shown = dict.fromkeys(mine.index)
-        for number, index in enumerate(shown):
-            row = mine.loc[index]
-            said = ", ".join(name for name, kind in kinds.items() if kind.fillna(False)[index]) or "for comparison"
-            if pd.notna(row["trial"]):
-                said = f"{row['trial']}: {said}"
-            table.add_row(
-                "" if number else str(method),
-                said,
-                " / ".join(number_text(row[name]) for name in errors),
-                number_text(row["error"], 4),
-                str(row["n_failed"] or ""),
-            )
+        tuned, taken = mine["trial"].notna().all(), mine[mine["chosen"]]
+        if tuned and taken.empty:
+            table.add_row(str(method), "none", "no result")
+            continue
+        row = (taken if tuned else mine).iloc[0]
+        shown = " / ".join(number(row[name]) for name in errors), number(row["error"], 4)
+        if tuned:
+            present = mine.loc[mine["trial"] == 0, "error"].iloc[0]
+            table.add_row(str(method), str(row["trial"]), *shown, number(present, 4), number(mine["error"].min(), 4))
+        else:
+            table.add_row(str(method), "", *shown)
     console.print(table)
+    for _, row in trials[trials["n_failed"] > 0].iterrows():
+        said = "" if pd.isna(row["trial"]) else f", trial {row['trial']}"
+        console.print(f"{row['method']}{said}: {row['n_failed']} cells failed, so it has no error and cannot be chosen")
