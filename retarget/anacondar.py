@@ -11,9 +11,10 @@ The steps are those of the paper's Fig. 2.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from itertools import tee
 from typing import Any
 
 import numpy as np
@@ -93,7 +94,7 @@ class AnaConDaR(AnatomySettings, Retargeter):
 
     def prepare(self, pair: Pair) -> _Prepared:
         patches = contiguous_patches(pair.faces, len(pair.source_neutral), self.patch_count, self.seed)
-        adt = AnatomicalTransfer(pair, replace(self, collisions=self.collisions and self.missing_collisions))
+        adt = AnatomicalTransfer(pair, self, self.missing_collisions)
         dt = DeformationTransfer.of(pair, Weighting.UNIFORM) if self.missing == Missing.DT else None
         return _Prepared(self, pair, patches, adt, dt, Evidence(pair, patches, self.evidence))
 
@@ -120,9 +121,7 @@ class _Prepared:
         """Step 1: the source's counterparts (k, n, 3) mm of target examples (k, n, 3) mm, section 3.5."""
         pair = self.pair
         back = Pair(pair.faces, pair.target_neutral, pair.source_neutral, pair.regions)
-        adt = AnatomicalTransfer(back, self.rules)
-
-        return embed_examples(target_examples, animation, pair.source_neutral, self.patches, self.rules.ridge, adt)
+        return embed_examples(target_examples, animation, pair.source_neutral, AnatomicalTransfer(back, self.rules))
 
     def directed(self, edits: Mapping[str, Any] | None) -> Direction:
         """anacon, fwdSim after invSim on the target's own head, eq. (19), under artistic edits, section 4.6."""
@@ -143,14 +142,21 @@ class _Prepared:
 
 
 @dataclass(frozen=True)
-class _Expression:
-    """What became of one expression, by the names of the paper."""
+class Retargeted:
+    """What became of one expression, by the names of the paper; all (n, 3) mm."""
 
-    rebuilt: FloatArray  # S_i^P (n, 3) mm, after anacon if `source_anacon`
-    missing: FloatArray  # T_i^M - T (n, 3) mm
-    draft: FloatArray  # T_i^P + T_i^M - T (n, 3) mm
-    result: FloatArray  # T_i (n, 3) mm
-    solves: dict[str, SolveInfo]
+    expression: FloatArray  # S_i
+    rebuilt: FloatArray  # S_i^P, after anacon if `source_anacon`
+    blended: FloatArray  # T_i^P
+    missing: FloatArray  # T_i^M - T
+    draft: FloatArray  # T_i^P + T_i^M - T
+    result: FloatArray  # T_i
+    near: HeadState | None  # of the target, where adt left it
+    solves: Mapping[str, SolveInfo]
+
+    @property
+    def info(self) -> SolveInfo:
+        return joined(self.solves)
 
 
 @dataclass(frozen=True)
@@ -159,64 +165,92 @@ class _Fitted:
     blendshapes: BlendshapeTransfer
 
     def __call__(self, source_frames: FloatArray, edits: Mapping[str, Any] | None = None) -> RetargetResult:
-        pair, anacon = self.prepared.pair, self.prepared.directed(edits)
-        source_frames = check_frames("source_frames", source_frames, len(pair.source_neutral))
-        blended = self.blendshapes(source_frames)  # steps 2 and 3
-        done = [
-            self._expression(*of_one, anacon)
-            for of_one in zip(source_frames, blended.source, blended.target, strict=True)
-        ]
+        frames = check_frames("source_frames", source_frames, len(self.prepared.pair.source_neutral))
+        done = list(self._retargeted(self._blended(frames), self.prepared.directed(edits)))
 
-        def stacked(frames: list[FloatArray]) -> FloatArray:
-            return np.array(frames).reshape(source_frames.shape)
+        def stacked(part: Callable[[Retargeted], FloatArray]) -> FloatArray:
+            return np.array([part(one) for one in done]).reshape(frames.shape)
 
-        rebuilt = stacked([one.rebuilt for one in done])
         parts = {
-            "source_reconstruction": rebuilt,
-            "plbs": blended.target,
-            "missing_source": source_frames - rebuilt,
-            "missing_target": stacked([one.missing for one in done]),
-            "draft": stacked([one.draft for one in done]),
+            "source_reconstruction": stacked(lambda one: one.rebuilt),
+            "plbs": stacked(lambda one: one.blended),
+            "missing_source": stacked(lambda one: one.expression - one.rebuilt),
+            "missing_target": stacked(lambda one: one.missing),
+            "draft": stacked(lambda one: one.draft),
         }
-        return RetargetResult(stacked([one.result for one in done]), tuple(joined(one.solves) for one in done), parts)
+        return RetargetResult(stacked(lambda one: one.result), tuple(one.info for one in done), parts)
 
-    def _expression(
-        self, expression: FloatArray, rebuilt: FloatArray, blended: FloatArray, anacon: Direction
-    ) -> _Expression:
-        """From S_i, S_i^P and T_i^P, (n, 3) mm each, to T_i."""
-        method, pair, solves = self.prepared, self.prepared.pair, {}
-        if method.rules.source_anacon:
-            anacon_source = method.anacon_source
-            smoothed = anacon_source.take(anacon_source.form(rebuilt))
-            rebuilt, solves["source anacon"] = smoothed.skin, smoothed.info
+    def stream(
+        self, source_frames: Iterable[FloatArray], edits: Mapping[str, Any] | None = None
+    ) -> Iterator[Retargeted]:
+        """Expressions (n, 3) mm one at a time, as they are drawn. Raises InvalidInput as a call does."""
+        blended = (one for frame in source_frames for one in self._blended(check_frames("frame", frame[None])))
+        return self._retargeted(blended, self.prepared.directed(edits))
 
-        missing = pair.source_neutral + expression - rebuilt  # eq. (4): S_i^M
-        carried, near = np.zeros_like(blended), None
+    def _blended(self, frames: FloatArray) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+        """Steps 2 and 3: S_i, S_i^P and T_i^P of frames (t, n, 3) mm."""
+        blended = self.blendshapes(frames)
+        return zip(frames, blended.source, blended.target, strict=True)
+
+    def _retargeted(
+        self, blended: Iterable[tuple[FloatArray, FloatArray, FloatArray]], anacon: Direction
+    ) -> Iterator[Retargeted]:
+        """From S_i, S_i^P and T_i^P to T_i."""
+        rules = self.prepared.rules
+        drafts, to_form, near = tee(self._drafts(blended, anacon), 3)
+        if not rules.anacon:
+            yield from drafts
+            return
+        formed = anacon.form((one.draft for one in to_form), (one.near for one in near), rules.streaming)
+        for draft, head in zip(drafts, formed, strict=True):
+            yield self._anacon(draft, head, anacon)  # eqs (6), (19)
+
+    def _drafts(
+        self, blended: Iterable[tuple[FloatArray, FloatArray, FloatArray]], anacon: Direction
+    ) -> Iterator[Retargeted]:
+        """T_i^P plus the missing blendshape, eqs (4) and (5)."""
+        method, neutral = self.prepared, self.prepared.pair.target_neutral
+        steps, to_carry = tee(self._smoothed(blended))
+        missing = (method.pair.source_neutral + one.expression - one.rebuilt for one in to_carry)  # eq. (4): S_i^M
         match method.rules.missing:
             case Missing.ADT:
-                adt = method.adt.expression(missing, characteristics=method.rules.held != Held.NOTHING)
-                carried, near, solves["adt"] = adt.skin - pair.target_neutral, adt.taken, adt.info  # eq. (5)
+                held = method.rules.held != Held.NOTHING
+                for one, adt in zip(steps, method.adt.states(missing, held), strict=True):  # eq. (5)
+                    delta, solves = adt.skin - neutral, {**one.solves, "adt": adt.info}
+                    draft = anacon.strengthened(one.blended + delta)
+                    yield replace(one, missing=delta, draft=draft, result=draft, near=adt.taken, solves=solves)
             case Missing.DT if method.dt is not None:
-                carried = method.dt.displacements(missing[None])[0]
-        draft = anacon.strengthened(blended + carried)
+                for one, target in zip(steps, missing, strict=True):
+                    delta = method.dt.displacements(target[None])[0]
+                    draft = anacon.strengthened(one.blended + delta)
+                    yield replace(one, missing=delta, draft=draft, result=draft)
+            case _:
+                for one in steps:
+                    draft = anacon.strengthened(one.blended)
+                    yield replace(one, draft=draft, result=draft)
 
-        result = draft
-        if method.rules.anacon:
-            result, solves["anacon"] = self._anacon(expression, rebuilt, draft, near, anacon)  # eqs (6), (19)
-        return _Expression(rebuilt, carried, draft, result, solves)
+    def _smoothed(self, blended: Iterable[tuple[FloatArray, FloatArray, FloatArray]]) -> Iterator[Retargeted]:
+        """Steps 2 and 3 as they are, or with anacon on S_i^P."""
+        still = np.zeros_like(self.prepared.pair.source_neutral)
+        for expression, rebuilt, target in blended:
+            solves = {}
+            if self.prepared.rules.source_anacon:
+                anacon = self.prepared.anacon_source
+                smoothed = anacon.take(next(anacon.form([rebuilt])))
+                rebuilt, solves["source anacon"] = smoothed.skin, smoothed.info
+            yield Retargeted(expression, rebuilt, target, still, target, target, None, solves)
 
-    def _anacon(
-        self, expression: FloatArray, rebuilt: FloatArray, draft: FloatArray, near: HeadState | None, anacon: Direction
-    ) -> tuple[FloatArray, SolveInfo]:
-        """T_i (n, 3) mm of a draft (n, 3) mm and how the solves went; `near`: a state of the target to start from."""
-        method, rules = self.prepared, self.prepared.rules
-        formed = anacon.form(draft, near)
-        miss = method.evidence.miss(expression, rebuilt)
-        detail = method.evidence.detail(anacon.unfollowed(draft, formed), miss) if rules.completed else 0.0 * draft
+    def _anacon(self, draft: Retargeted, formed: HeadState, anacon: Direction) -> Retargeted:
+        """Step 4 for the target's head as invSim formed it of the draft."""
+        method, rules, y = self.prepared, self.prepared.rules, draft.draft
+        miss = method.evidence.miss(draft.expression, draft.rebuilt)
+        detail = np.zeros_like(y)
+        if rules.completed:
+            detail = method.evidence.detail(anacon.unfollowed(y, formed), miss)
         wanted = None
         if rules.held != Held.NOTHING:
-            wanted = anacon.characteristics(method.adt.characteristics(expression))
+            wanted = anacon.characteristics(method.adt.characteristics(draft.expression))
         if wanted is not None and rules.held == Held.EVIDENCE:
-            wanted = method.evidence.held(wanted, draft, draft - detail, miss)
+            wanted = method.evidence.held(wanted, y, y - detail, miss)
         done = anacon.take(formed, wanted, detail)
-        return done.skin + detail, done.info
+        return replace(draft, result=done.skin + detail, solves={**draft.solves, "anacon": done.info})

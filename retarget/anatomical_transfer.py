@@ -6,7 +6,9 @@ anacon(y, S_i, S, T) = fwdSim(invSim(y, H_T), fc(S_i, S, T), H_T)              e
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import repeat, tee
 
 import numpy as np
 
@@ -31,7 +33,8 @@ class AnatomySettings:
 
     template: `coarse` or `paper`. length_mm: unit of length, in mm, of the weights of squared distances; 10 reads the
     published ones in centimetres, as `retarget.simulation.weights` explains. tets: see `TetWeights`.
-    lips: see `LipForm`. collisions: resolve those of the lips.
+    lips: see `LipForm`. collisions: resolve those of the lips. streaming: frames are an animation in its order, and
+    each solve starts from those before it: fewer iterations, and results that differ by the solver's tolerance.
     Raises InvalidInput for settings out of range.
     """
 
@@ -48,6 +51,7 @@ class AnatomySettings:
     lips: LipForm | str = LipForm.RELATIVE
     tets: TetWeights | str = TetWeights.VOLUME
     collisions: bool = True
+    streaming: bool = False
 
     def __post_init__(self) -> None:
         check_size(self.template)
@@ -104,42 +108,62 @@ class Carrier:
     inverse: InverseSimulation
     forward: ForwardSimulation
     scale: float = 1.0  # BB(T) / BB(S), of the bones' translations
+    collisions: bool = True  # resolve those of the lips, if the forward simulation does
 
-    def form(self, expression: FloatArray, near: HeadState | None = None) -> HeadState:
-        """The first head, forming an expression (n, 3) mm; `near`: a state of it to start from."""
-        return self.inverse(expression, near)  # eq. (8)
+    def form(
+        self,
+        expressions: Iterable[FloatArray],
+        near: Iterable[HeadState | None] | None = None,
+        streaming: bool = False,
+    ) -> Iterator[HeadState]:
+        """The first head forming expressions (n, 3) mm, eq. (8), as they are drawn.
+
+        near: for each a state of that head to start from, drawn after the expression. streaming: each also starts from
+        those before it.
+        """
+        if streaming:
+            return self.inverse.stream(expressions, near=near)
+        return map(self.inverse, expressions, repeat(None) if near is None else near)
 
     def take(self, formed: HeadState, wanted: Characteristics | None = None) -> Carried:
-        """The same on the second head, held to characteristics."""
-        return Carried(formed, self.forward(formed.gradients, formed.bones, self.scale, wanted))  # eq. (10)
+        """The same on the second head, eq. (10), held to characteristics."""
+        gradients, bones = formed.gradients, formed.bones
+        taken = self.forward(gradients, bones, self.scale, wanted, collisions=self.collisions)
+        return Carried(formed, taken)
 
 
 class AnatomicalTransfer:
     """adt of Algorithm 1 for a pair of neutrals, with heads fitted and systems factorised."""
 
-    def __init__(self, pair: Pair, settings: AnatomySettings) -> None:
-        """Raises InvalidInput for a topology without a template and for neutrals that no head can be made of."""
-        self.pair = pair
+    def __init__(self, pair: Pair, settings: AnatomySettings, collisions: bool = True) -> None:
+        """collisions: False leaves lips where they are, whatever the settings.
+
+        Raises InvalidInput for a topology without a template and for neutrals that no head can be made of.
+        """
+        self.pair, self.settings = pair, settings
         self.source, self.target = characters(pair, settings.template)  # eq. (7)
         self.characteristics = FacialCharacteristics(pair, settings.lips)  # eq. (9)
         self.carry = Carrier(
             self.source.inverse(settings.inverse_settings, settings.tets),
             self.target.forward(settings.forward_settings, settings.tets),
             size_ratio(pair.source_neutral, pair.target_neutral),
+            collisions,
         )
 
-    def expression(self, expression: FloatArray, characteristics: bool = True) -> Carried:
-        """adt(expression, S, T) for a source expression (n, 3) mm, with both heads in the states that it ends in."""
-        wanted = self.characteristics(expression) if characteristics else None
-        return self.carry.take(self.carry.form(expression), wanted)
+    def states(self, expressions: Iterable[FloatArray], characteristics: bool = True) -> Iterator[Carried]:
+        """adt(expression, S, T) for source expressions (n, 3) mm as they are drawn, as states of both heads."""
+        expressions, again = tee(expressions)
+        heads = self.carry.form(expressions, streaming=self.settings.streaming)
+        for expression, formed in zip(again, heads, strict=True):
+            yield self.carry.take(formed, self.characteristics(expression) if characteristics else None)
 
     def __call__(self, frames: FloatArray) -> FloatArray:
-        """Target expressions (t, n, 3) mm for source expressions (t, n, 3) mm, each independent of the others."""
+        """Target expressions (t, n, 3) mm for source expressions (t, n, 3) mm."""
         frames = check_frames("source_frames", frames, len(self.pair.source_neutral))
-        return np.array([self.expression(frame).skin for frame in frames]).reshape(frames.shape)
+        return np.array([state.skin for state in self.states(frames)]).reshape(frames.shape)
 
 
-def joined(parts: dict[str, SolveInfo]) -> SolveInfo:
+def joined(parts: Mapping[str, SolveInfo]) -> SolveInfo:
     """Several solves of one expression as one: the worst status, iterations added up, the energy of the last.
 
     The message names each with its status and iterations. No solve at all has converged.

@@ -7,6 +7,7 @@ nothing to do leaves its input as it is.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import cached_property
 
@@ -46,9 +47,11 @@ class Direction:
         own = edits.control.vertices[~self._leads]
         self.pulled = np.concatenate([self._contour, own]) if self._leads.any() else own  # (h,) skin vertices
 
-    def form(self, draft: FloatArray, near: HeadState | None = None) -> HeadState:
-        """The head that forms a draft (n, 3) mm; `near`: a state of it to start from."""
-        return self.anacon.form(draft, near)
+    def form(
+        self, drafts: Iterable[FloatArray], near: Iterable[HeadState | None], streaming: bool
+    ) -> Iterator[HeadState]:
+        """The head forming drafts (n, 3) mm; see `Carrier.form`."""
+        return self.anacon.form(drafts, near, streaming)
 
     def unfollowed(self, draft: FloatArray, formed: HeadState) -> FloatArray:
         """(n, 3) mm: what tissue cannot follow of a draft (n, 3) mm, without that which the edit of the stiffness

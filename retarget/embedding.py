@@ -14,8 +14,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from retarget.check import check_frames
-from retarget.rig.blendshapes import Blendshapes, Patches, Ridge, RidgeFit
+from retarget.rig.blendshapes import Blendshapes, Patches, Ridge, RidgeFit, whole_mesh
 from retarget.types import FloatArray
+
+RIDGE = Ridge(1e-3)  # mm^2 per vertex
 
 Transfer = Callable[[FloatArray], FloatArray]  # target expressions (k, n, 3) mm -> the source's (k, n, 3) mm
 
@@ -38,15 +40,17 @@ def embed_examples(
     target_examples: FloatArray,
     animation: FloatArray,
     source_neutral: FloatArray,
-    patches: Patches,
-    ridge: Ridge,
     transfer: Transfer,
+    patches: Patches | None = None,
+    ridge: Ridge = RIDGE,
 ) -> FloatArray:
     """The source's counterparts (k, n, 3) mm of target examples (k, n, 3) mm; k may be 0.
 
-    animation (N, n, 3) mm is the source's; transfer is adt from the target to the source. Raises InvalidInput for
-    arrays that do not fit together.
+    animation (N, n, 3) mm is the source's; transfer is adt from the target to the source. Without
+    patches one fit of the whole mesh, which came nearer to the source's own expressions than one for each patch. Raises InvalidInput for arrays that do
+    not fit together.
     """
-    examples = check_frames("target_examples", target_examples, len(source_neutral))
+    count = len(source_neutral)
+    examples = check_frames("target_examples", target_examples, count)
     carried = transfer(examples) if len(examples) else examples  # eq. (20)
-    return AnimationSpan(source_neutral, animation, patches, ridge)(carried)  # eq. (21)
+    return AnimationSpan(source_neutral, animation, patches or whole_mesh(count), ridge)(carried)  # eq. (21)

@@ -136,12 +136,14 @@ class ForwardSimulation:
         characteristics: Characteristics | None = None,
         handles: FloatArray | None = None,
         gravity: ArrayLike = (0.0, 0.0, 0.0),
+        collisions: bool = True,
     ) -> ForwardState:
         """Apply gradients (t, 3, 3) and the motions of bones, translations times `scale` = BB(T) / BB(S).
 
         handles: (h, 3) mm, where those of `with_handles` should go; without it they are loose.
         gravity: (3,) in 1/mm, a *change*, from `materials.weight_change`: the gradients are an equilibrium that
         contains the weight under which the expression was recorded.
+        collisions: False leaves lips where they are, whatever the settings.
         Where the solve fails, `info.status` is FAILED and head and bones are at rest.
         Raises InvalidInput for what does not fit or is not finite, and for handles more than 150 mm from rest.
         """
@@ -163,7 +165,7 @@ class ForwardSimulation:
         problem = SoftProblem(self._points @ moved + self._offset, targets, goals.ratios)
         soft = self._soft_system(goals, handles is not None)
         solution, lips = self._solve(soft, problem), LipReport()  # step 2
-        if self._lips:
+        if self._lips and collisions:
             solution, moved, lips = self._resolve(self._lips, soft, problem, solution, moved)  # step 3
         else:
             moved = self._pulled(moved, solution)

@@ -59,10 +59,10 @@ def test_without_examples_it_is_adt_and_then_anacon():
     method = make_method("anacondar", missing_collisions=True)
     found = method.prepare(pair()).fit(NONE, frames(SOURCE))(expression[None])
     adt = AnatomicalTransfer(pair(), method)
-    carried = adt.expression(expression)
+    carried = next(adt.states([expression]))
     np.testing.assert_allclose(found.parts["draft"][0], carried.skin, atol=1e-9)
     anacon = Carrier(adt.target.inverse(method.inverse_settings), adt.carry.forward)
-    formed = anacon.form(carried.skin, carried.taken)
+    formed = next(anacon.form([carried.skin], [carried.taken]))
     done = anacon.take(formed, FacialCharacteristics(pair(), method.lips)(expression))
     moving = np.linalg.norm(frames(SOURCE)[3] - pair().source_neutral, axis=1) > 1.0
     np.testing.assert_allclose(found.frames[0][moving], done.skin[moving], atol=0.05)
@@ -95,7 +95,7 @@ def test_ablations_leave_out_what_they_say():
     assert not fitted("no_missing_blendshape")(frame).parts["missing_target"].any()
     plain = fitted("plbs_anacon", collisions=False, completed=False)
     anacon = plain.prepared.directed(None)
-    formed = anacon.form(plain(frame).parts["plbs"][0])
+    formed = next(anacon.form([plain(frame).parts["plbs"][0]], [None], False))
     np.testing.assert_allclose(plain(frame).frames[0], formed.skin, atol=1e-6)  # fwdSim(invSim(X)) on one head
     smoothed = fitted("source_anacon")(frame).parts["source_reconstruction"]
     assert 0.001 < rms(smoothed - fitted("plbs")(frame).parts["source_reconstruction"]) < 0.5
@@ -107,6 +107,17 @@ def test_without_anacon_the_draft_comes_back():
     blended = fitted("no_anacon", missing="nothing")(frames(SOURCE)[6:7])
     np.testing.assert_array_equal(blended.frames, fitted("plbs")(frames(SOURCE)[6:7]).frames)
     assert blended.info == (SolveInfo(),)
+
+
+def test_an_animation_in_its_order_ends_where_its_frames_do_alone():
+    """Streaming starts each solve from those before it; the solver's tolerance is all that may differ."""
+    path = np.linspace(0, 1, 4)[:, None, None] * (frames(SOURCE)[6] - pair().source_neutral) + pair().source_neutral
+    alone, together = fitted("anacondar", collisions=False), fitted("anacondar", collisions=False, streaming=True)
+    expected, found = alone(path), together(path)
+    np.testing.assert_allclose(found.frames, expected.frames, atol=0.15)
+    assert rms(found.frames - expected.frames) < 0.01
+    one_by_one = [one.result for one in together.stream(iter(path))]
+    np.testing.assert_allclose(one_by_one, found.frames, atol=1e-6)
 
 
 def test_examples_without_counterparts_are_embedded_in_the_sources_span():

@@ -32,7 +32,7 @@ def test_what_lies_in_the_span_is_reproduced(patches: Patches) -> None:
 
 
 def test_the_result_lies_in_the_span_and_is_the_nearest_there() -> None:
-    embedded = embed_examples(expressions(2, 3), ANIMATION, SOURCE, WHOLE, NO_RIDGE, transfer(TARGET, SOURCE))
+    embedded = embed_examples(expressions(2, 3), ANIMATION, SOURCE, transfer(TARGET, SOURCE), WHOLE, NO_RIDGE)
     shapes = (ANIMATION - SOURCE).reshape(12, -1)
     carried = (transfer(TARGET, SOURCE)(expressions(2, 3)) - SOURCE).reshape(3, -1)
     weights, *_ = np.linalg.lstsq(shapes.T, carried.T, rcond=None)  # eq. (21) by another solver
@@ -42,7 +42,7 @@ def test_the_result_lies_in_the_span_and_is_the_nearest_there() -> None:
 @pytest.mark.parametrize("patches", [WHOLE, TWELVE], ids=["whole", "patches"])
 def test_a_target_equal_to_the_source_returns_its_own_examples(patches: Patches) -> None:
     own = ANIMATION[:4]
-    embedded = embed_examples(own, ANIMATION, SOURCE, patches, NO_RIDGE, transfer(SOURCE, SOURCE))
+    embedded = embed_examples(own, ANIMATION, SOURCE, transfer(SOURCE, SOURCE), patches, NO_RIDGE)
     np.testing.assert_allclose(embedded, own, atol=1e-5)
 
 
@@ -51,9 +51,9 @@ def test_no_examples_give_none_and_ask_for_no_transfer() -> None:
         raise AssertionError("there is nothing to transfer")
 
     nothing = np.empty((0, *SOURCE.shape))
-    assert embed_examples(nothing, ANIMATION, SOURCE, TWELVE, NO_RIDGE, never).shape == nothing.shape
+    assert embed_examples(nothing, ANIMATION, SOURCE, never, TWELVE).shape == nothing.shape
 
 
 def test_another_topology_is_refused() -> None:
     with pytest.raises(InvalidInput, match="target_examples: expected 642 vertices"):
-        embed_examples(expressions(2, 3)[:, 1:], ANIMATION, SOURCE, WHOLE, NO_RIDGE, transfer(TARGET, SOURCE))
+        embed_examples(expressions(2, 3)[:, 1:], ANIMATION, SOURCE, transfer(TARGET, SOURCE), WHOLE, NO_RIDGE)
