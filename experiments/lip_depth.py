@@ -14,8 +14,9 @@ CORNER = 10.0  # mm from a corner of the mouth, on the neutral, within which ski
 class LipDepth:
     """Penetration of the visible lips of one character.
 
-    A vertex counts if the winding number of the whole skin says that it lies inside; its depth is the distance to
-    the other lip, beyond that of the neutral. Vertices near the corners of the mouth are left out: there a lip is
+    A vertex counts if the winding number of the whole skin says that it lies inside and if it is behind the nearest
+    triangle of the other lip, so that it lies in that lip and not in a fold of its own; its depth is the distance to
+    that triangle, beyond that of the neutral. Vertices near the corners of the mouth are left out: there a lip is
     inside of the cheek's fold more often than in the other lip.
     """
 
@@ -33,8 +34,8 @@ class LipDepth:
         upper, lower = (regions.vertices[name] for name in ("upper_lip", "lower_lip"))
         self._faces = faces
         self._sides = [
-            (own[away[own]], Surface(faces[np.isin(faces, other).all(axis=1)]))
-            for own, other in ((upper, lower), (lower, upper))
+            (own[away[own]], Surface(lip))
+            for own, lip in ((upper, _within(faces, lower)), (lower, _within(faces, upper)))
         ]
         self.vertices: IntArray = np.concatenate([points for points, _ in self._sides])  # (p,)
         self._resting = np.zeros(len(self.vertices))
@@ -45,8 +46,17 @@ class LipDepth:
         depths = []
         for points, other in self._sides:
             depth = np.zeros(len(points))
-            within = inside(skin, self._faces, points)
-            depth[within] = other.nearest(skin, points[within])[0]
+            within = np.flatnonzero(inside(skin, self._faces, points))
+            distance, corners, weights = other.nearest(skin, points[within])
+            a, b, c = (skin[corners[:, i]] for i in range(3))
+            towards = skin[points[within]] - np.einsum("kc,kci->ki", weights, skin[corners])
+            behind = np.einsum("ki,ki->k", towards, np.cross(b - a, c - a)) < 0
+            depth[within] = np.where(behind, distance, 0.0)
             depths.append(depth)
         deeper: FloatArray = np.maximum(np.concatenate(depths) - self._resting, 0.0)
         return deeper
+
+
+def _within(faces: IntArray, part: IntArray) -> IntArray:
+    """(g, 3) the faces with all corners in a set of vertices."""
+    return np.ascontiguousarray(faces[np.isin(faces, part).all(axis=1)])

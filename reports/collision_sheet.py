@@ -58,11 +58,11 @@ def write_collision_sheet(
         description,
         [
             Pictures(
-                ("lips cross", "resolved", "section through the deepest point"),
+                ("lips cross", "resolved", "section"),
                 (1.0, 1.0, 0.76),
                 rows,
                 "The deepest cases, from as many pairs as there are. Red: collisions left alone, blue: resolved. The "
-                "section is sagittal, seen from the character's left.",
+                "section is sagittal, through the deepest point, seen from the character's left.",
             ),
             Pictures(
                 ("",),

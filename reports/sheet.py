@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import matplotlib
 import numpy as np
@@ -56,8 +56,10 @@ class Table:
     kind: str = "table"
 
 
-def write_sheet(path: Path, title: str, description: str, blocks: Sequence[Pictures | Table], work: Path) -> None:
-    """Write a PDF whole or not at all; `work` is the folder with the pictures."""
+def write_sheet(
+    path: Path, title: str, description: str, blocks: Sequence[Pictures | Table], work: Path, ppi: float = 110.0
+) -> None:
+    """Write a PDF, or a PNG of the first page, whole or not at all; `work` is the folder with the pictures."""
     content: dict[str, Any] = {
         "title": title,
         "description": " ".join(description.split()),
@@ -66,11 +68,14 @@ def write_sheet(path: Path, title: str, description: str, blocks: Sequence[Pictu
     }
     (work / "content.json").write_text(json.dumps(content), encoding="utf-8")
     shutil.copy(_TEMPLATE, work / _TEMPLATE.name)
-    pdf = typst.compile(
+    made: bytes | list[bytes] = cast(Any, typst.compile)(
         str(work / _TEMPLATE.name),
         root=str(work),
+        format="png" if path.suffix == ".png" else "pdf",
+        ppi=ppi,
         font_paths=[str(Path(matplotlib.get_data_path()) / "fonts" / "ttf")],
         ignore_system_fonts=True,
         timestamp=0,
     )
-    write_whole(path, lambda temporary: temporary.write_bytes(pdf))
+    page = made[0] if isinstance(made, list) else made
+    write_whole(path, lambda temporary: temporary.write_bytes(page))

@@ -37,7 +37,8 @@ SETTINGS: dict[str, Any] = {
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the study leaves behind."""
     folder = tmp_path_factory.mktemp("artistic")
-    with heads_are_boxes():
+    with heads_are_boxes(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr("reports.artistic_sheet.SIZE", (96, 72))
         intervene(ArtisticStudy.from_config(SETTINGS), block(), 1, folder, Console(file=io.StringIO()))
     return folder
 

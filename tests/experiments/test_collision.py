@@ -38,7 +38,8 @@ SETTINGS = {
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What the study leaves behind."""
     folder = tmp_path_factory.mktemp("collision")
-    with heads_are_boxes():
+    with heads_are_boxes(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr("reports.collision_sheet.SIZE", (96, 72))
         collide(CollisionStudy.from_config(SETTINGS), block(), 1, folder, Console(file=io.StringIO()))
     return folder
 
