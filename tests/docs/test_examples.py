@@ -31,6 +31,14 @@ def test_the_readme_example_retargets_and_prints_its_error(capsys: pytest.Captur
     assert 0 < float(found[1]) < 2
 
 
+def test_the_example_of_artistic_control_moves_a_corner_of_the_mouth(capsys: pytest.CaptureFixture[str]) -> None:
+    (example,) = code_blocks("docs/artistic_control.md")
+    exec(example, {})
+    found = re.fullmatch(r"moved by up to (\d\.\d) mm\n", capsys.readouterr().out)
+    assert found
+    assert 3.5 < float(found[1]) < 5
+
+
 def module_of(code: str, name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     module = ModuleType(name)
     monkeypatch.setitem(sys.modules, name, module)
