@@ -25,6 +25,7 @@ from reports.terminal import print_runtime
 from retarget.anatomy.fit import fit_head
 from retarget.anatomy.head import Head
 from retarget.anatomy.store import load_template
+from retarget.character import forget
 from retarget.check import InvalidInput
 from retarget.io.files import write_whole
 from retarget.simulation.bones import size_ratio
@@ -74,9 +75,10 @@ class RuntimeStudy:
 
 @dataclass(frozen=True)
 class Performance:
-    """What is retargeted: an animation, and what patchwise blendshapes make of it."""
+    """What is retargeted: an animation, and what patchwise blendshapes of the examples make of it."""
 
     pair: Pair
+    examples: Examples
     frames: FloatArray  # (t, n, 3) mm, S_i
     missing: FloatArray  # (t, n, 3) mm, S_i^M, eq. (4)
     blended: FloatArray  # (t, n, 3) mm, T_i^P
@@ -108,15 +110,20 @@ def measure(study: RuntimeStudy, dataset: Dataset, threads: int, folder: Path, c
         console.print("compiling, up to two minutes where it was never done")
         warm_up(study, performance, source, target)
         tables = []
-        with progress(console, "expressions", len(cases) * study.animation_frames) as advance:
+        with progress(console, "expressions", (len(cases) + 2) * study.animation_frames) as advance:
             for surface, collisions in cases:
                 started = time.perf_counter()
                 engine = set_up(performance.pair, source, target, surface, collisions)
                 seconds = time.perf_counter() - started
                 table = stream(engine, performance, advance)
                 tables.append(table.assign(surface=surface, collisions=collisions, setup_seconds=seconds))
+            console.print("the whole method, from neutrals to frames")
+            whole = pd.concat(
+                [retarget(study, performance, collisions, advance) for collisions in (False, True)], ignore_index=True
+            )
     frames = pd.concat(tables, ignore_index=True)
     summary = summarise(frames).assign(
+        **summarise_method(whole),
         template=study.template,
         skin_vertices=template.embedding.shape[0],
         tet_vertices=len(template.vertices),
@@ -126,6 +133,7 @@ def measure(study: RuntimeStudy, dataset: Dataset, threads: int, folder: Path, c
         peak_memory_mb=round(peak_memory_mb()),
     )
     write_whole(folder / "frames.csv", lambda temporary: frames.to_csv(temporary, index=False))
+    write_whole(folder / "method.csv", lambda temporary: whole.to_csv(temporary, index=False))
     write_whole(folder / "summary.csv", lambda temporary: summary.to_csv(temporary, index=False))
     print_runtime(summary, console)
     print_path(folder / "summary.csv", console)
@@ -154,7 +162,7 @@ def perform(study: RuntimeStudy, dataset: Dataset) -> Performance:
     shapes = Examples(dataset.frames(target, examples.tolist()), dataset.frames(source, examples.tolist()))
     result = plbs.fit(shapes, frames)(frames)
     missing = pair.source_neutral + frames - result.parts["source_reconstruction"]  # eq. (4)
-    return Performance(pair, frames, missing, result.frames)
+    return Performance(pair, shapes, frames, missing, result.frames)
 
 
 def set_up(pair: Pair, source: Head, target: Head, surface: str, collisions: bool) -> Engine:
@@ -207,6 +215,35 @@ def stream(engine: Engine, performance: Performance, advance: Advance = lambda c
     return pd.DataFrame(rows)
 
 
+def retarget(
+    study: RuntimeStudy, performance: Performance, collisions: bool, advance: Advance = lambda count: None
+) -> pd.DataFrame:
+    """AnaConDaR from neutrals and examples on, as a user calls it: one row for each expression of the animation."""
+    forget()
+    started = time.perf_counter()
+    method = make_method("anacondar", template=study.template, streaming=True, collisions=collisions)
+    fitted = method.prepare(performance.pair).fit(performance.examples, performance.frames)
+    setup = time.perf_counter() - started
+    rows, started = [], time.perf_counter()
+    for one in fitted.stream(iter(performance.frames)):  # type: ignore[attr-defined]
+        now = time.perf_counter()
+        rows.append({"seconds": now - started, "status": str(one.info.status), "iterations": one.info.iterations})
+        advance(1)
+        started = time.perf_counter()
+    return pd.DataFrame(rows).assign(collisions=collisions, setup_seconds=setup)
+
+
+def summarise_method(whole: pd.DataFrame) -> dict[str, float]:
+    """Rates of the whole method, one over the median of the expressions' seconds, and its set-up."""
+    plain, resolved = whole[~whole["collisions"]], whole[whole["collisions"]]
+    return {
+        "anacondar_per_s": round(1 / plain["seconds"].median(), 2),
+        "anacondar_per_s_collisions": round(1 / resolved["seconds"].median(), 2),
+        "anacondar_setup_seconds": round(plain["setup_seconds"].iloc[0], 2),
+        "anacondar_not_converged": int((whole["status"] != Status.CONVERGED).sum()),
+    }
+
+
 def _taken(waiting: deque[T]) -> Iterator[T]:
     while True:
         yield waiting.popleft()
@@ -215,7 +252,9 @@ def _taken(waiting: deque[T]) -> Iterator[T]:
 def warm_up(study: RuntimeStudy, performance: Performance, source: Head, target: Head) -> None:
     """Two expressions of each kind, so that no time of a compiler is measured."""
     short = Performance(
-        performance.pair, *(v[:2] for v in (performance.frames, performance.missing, performance.blended))
+        performance.pair,
+        performance.examples,
+        *(v[:2] for v in (performance.frames, performance.missing, performance.blended)),
     )
     for surface in study.surfaces:
         stream(set_up(performance.pair, source, target, surface, True), short)

@@ -70,6 +70,10 @@ def print_runtime(summary: pd.DataFrame, console: Console) -> None:
         rest = f"{row['setup_seconds']:.1f}", f"{row['iterations']:.1f}", f"{row['lip_depth_after_max']:.2f}"
         table.add_row(str(row["surface"]), *rates, *rest)
     console.print(table)
+    console.print(
+        f"anacondar as a whole: {first['anacondar_per_s']:.2f} per s, {first['anacondar_per_s_collisions']:.2f} with "
+        f"lips; set-up {first['anacondar_setup_seconds']:.1f} s, heads fitted"
+    )
     console.print(f"median over {first['expressions']} expressions; peak memory {first['peak_memory_mb']:,} MB")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import lru_cache
@@ -10,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from retarget.anatomy.boundary import signed_volumes
 from retarget.anatomy.fit import fit_head
@@ -83,10 +85,20 @@ class Character:
 
 
 def characters(pair: Pair, size: str) -> tuple[Character, Character]:
-    """Source and target of a pair."""
+    """Source and target of a pair, their heads fitted side by side. Raises InvalidInput as `fit_head` does."""
     topology = Topology.of(pair.faces, pair.regions)
+    topology.template(size)  # once for both
     source, target = (Character.of(topology, size, v) for v in (pair.source_neutral, pair.target_neutral))
+    with threadpool_limits(limits=1), ThreadPoolExecutor(2) as pool:  # outside: `fit_head` limits and restores as well
+        for _ in pool.map(_head, {source, target}):
+            pass
     return source, target
+
+
+def forget() -> None:
+    """Drop all heads and factors that are kept, as a study of set-up times must."""
+    for kept in (_template, _head, _inverse, _forward):
+        kept.cache_clear()
 
 
 @lru_cache(maxsize=KEPT_TEMPLATES)

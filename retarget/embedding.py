@@ -46,9 +46,9 @@ def embed_examples(
 ) -> FloatArray:
     """The source's counterparts (k, n, 3) mm of target examples (k, n, 3) mm; k may be 0.
 
-    animation (N, n, 3) mm is the source's; transfer is adt from the target to the source. Without
-    patches one fit of the whole mesh, which came nearer to the source's own expressions than one for each patch. Raises InvalidInput for arrays that do
-    not fit together.
+    animation (N, n, 3) mm is the source's; transfer is adt from the target to the source. Without patches it is one
+    fit of the whole mesh, which came nearer to the source's own expressions than one for each patch.
+    Raises InvalidInput for arrays that do not fit together.
     """
     count = len(source_neutral)
     examples = check_frames("target_examples", target_examples, count)

@@ -10,7 +10,7 @@ import pytest
 
 from experiments.runtime import STAGES, Performance, RuntimeStudy, perform, set_up, stream, summarise
 from retarget.check import InvalidInput
-from retarget.types import Pair
+from retarget.types import Examples, Pair
 from tests.experiments.toy import toy
 from tests.retarget.simulation.box_head import box_head
 
@@ -59,7 +59,7 @@ def test_an_animation_streams_through_the_simulations(surface: str) -> None:
     still = np.broadcast_to(head.skin, frames.shape)
     advanced: list[int] = []
     engine = set_up(pair, head, head, surface, collisions=True)
-    table = stream(engine, Performance(pair, frames, frames, still), advanced.append)
+    table = stream(engine, Performance(pair, Examples(still[:0], still[:0]), frames, frames, still), advanced.append)
     assert len(table) == len(advanced) == 4
     assert table["converged"].all()
     assert (table[list(STAGES)] > 0).all(axis=None)
