@@ -128,16 +128,23 @@ def test_of_several_settings_the_nearest_to_the_present_within_one_percent_is_ch
     assert chosen(values, [1.02, 1.005, 1.0, 1.004]) == 3  # as near as trial 1, and better
 
 
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """A folder and what was printed."""
-    folder, output = tmp_path_factory.mktemp("tuning"), io.StringIO()
-    configurations = {path: path.read_bytes() for path in CONF.rglob("*.yaml")}
+def small(folder: Path) -> str:
+    """Run a small study on toy heads; returns what it prints."""
+    output = io.StringIO()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run_module, "_dataset", lambda config, console: toy(identities=3))
         run_module.run(composed("run", SMALL), folder, Console(file=output, width=80))
+    return output.getvalue()
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A folder and what was printed."""
+    folder = tmp_path_factory.mktemp("tuning")
+    configurations = {path: path.read_bytes() for path in CONF.rglob("*.yaml")}
+    printed = small(folder)
     assert configurations == {path: path.read_bytes() for path in CONF.rglob("*.yaml")}
-    return folder, output.getvalue()
+    return folder, printed
 
 
 def test_the_error_of_a_trial_is_the_mean_distance_over_the_protocol(finished: tuple[Path, str]) -> None:
@@ -175,6 +182,13 @@ def test_a_study_leaves_its_trials_a_choice_and_its_pages(finished: tuple[Path, 
     assert (folder / "chosen.yaml").read_text() in printed
     assert (folder / "tuning.pdf").read_bytes().startswith(b"%PDF")
     assert "| lbs | " in (folder / "tables.md").read_text()
+
+
+def test_a_second_run_computes_nothing_and_chooses_the_same(finished: tuple[Path, str]) -> None:
+    before = (finished[0] / "trials.csv").read_bytes()
+    printed = small(finished[0])
+    assert "72 of them finished earlier" in " ".join(printed.split())
+    assert (finished[0] / "trials.csv").read_bytes() == before
 
 
 def test_all_trials_see_the_same_expressions(finished: tuple[Path, str]) -> None:
