@@ -31,6 +31,7 @@ from enum import StrEnum
 
 import numpy as np
 import scipy.sparse as sp
+from numba import njit
 
 from retarget.check import InvalidInput, check_faces, check_frames, check_triangle_areas, check_vertices
 from retarget.geometry.cholesky import CholeskyFactor
@@ -121,17 +122,26 @@ class DeformationTransfer:
             moved[part] = self._displacements(source_frames[part])
         return moved
 
+    def at(self, vertices: IntArray) -> PointTransfer:
+        """The transfer of a few of its vertices (k,) alone, in less time."""
+        return PointTransfer(self, vertices)
+
     def _displacements(self, frames: FloatArray) -> FloatArray:
         n, t = len(self.source), len(frames)
         by_vertex = np.ascontiguousarray(frames.transpose(1, 0, 2))  # (n, t, 3)
         source_moved = by_vertex - self.source[:, None]
         fourth_moved = fourth_edges(by_vertex, self.faces) - self._source_fourth[:, None]
-        rhs = self._from_displacements @ source_moved.reshape(n, -1)
-        rhs += self._from_fourth @ fourth_moved.reshape(len(self.faces), -1)
+        rhs = self._right_side(source_moved.reshape(n, -1), fourth_moved.reshape(len(self.faces), -1))
         target_moved = np.zeros_like(source_moved)
         target_moved[self._free] = self._factor.solve(rhs).reshape(-1, t, 3)
         self._translate(target_moved, self.size_ratio * source_moved)
         return target_moved.transpose(1, 0, 2)
+
+    def _right_side(self, moved: FloatArray, fourth_moved: FloatArray) -> FloatArray:
+        """(m, c) at the free vertices, of displacements (n, c) mm and changes of fourth edges (f, c)."""
+        rhs: FloatArray = self._from_displacements @ moved
+        rhs += self._from_fourth @ fourth_moved
+        return rhs
 
     def _translate(self, moved: FloatArray, wanted: FloatArray) -> None:
         """Shift each component of moved (n, t, 3) so that its anchors have the mean displacement of `wanted`."""
@@ -141,6 +151,58 @@ class DeformationTransfer:
                 continue
             still = _stillest(np.linalg.norm(wanted[piece], axis=-1))[..., None]  # (m, t, 1)
             moved[piece] += np.sum(still * (wanted[piece] - moved[piece]), axis=0) / still.sum(axis=0)
+
+
+class PointTransfer:
+    """Rows of the solution operator of a deformation transfer: the same result at a few vertices, without the solve.
+
+    The transfer is linear in its right-hand side, the final translation included, so each vertex has a row over the
+    free vertices: one solve with the adjoint, once. Where a component has no anchors, what it stands on depends on the
+    expression and the whole transfer is solved.
+    """
+
+    def __init__(self, transfer: DeformationTransfer, vertices: IntArray) -> None:
+        """vertices: (k,) of the transfer's mesh."""
+        self.transfer, self.vertices = transfer, np.asarray(vertices, dtype=np.int64)
+        owner = np.full(len(transfer.source), -1)
+        for number, piece in enumerate(transfer._components):
+            owner[piece] = number
+        owner = owner[self.vertices]
+        self._anchored = all(len(transfer._anchors[number]) for number in np.unique(owner))
+        if not self._anchored:
+            return
+        of_anchors = sp.csr_array(
+            np.vstack([np.bincount(a, minlength=len(transfer.source)) / max(len(a), 1) for a in transfer._anchors])
+        )
+        self._standing = sp.csr_array(of_anchors[owner])  # (k, n): the mean of the anchors
+        picked = sp.eye_array(len(transfer.source), format="csr")[self.vertices] - self._standing
+        self._rows = np.ascontiguousarray(transfer._factor.solve(picked[:, transfer._free].toarray().T).T)  # (k, m)
+
+    def __call__(self, expression: FloatArray) -> FloatArray:
+        """Target positions (k, 3) mm of the vertices for one source expression (n, 3) mm."""
+        transfer = self.transfer
+        if not self._anchored:
+            return transfer(expression[None])[0][self.vertices]
+        moved, fourth = expression - transfer.source, np.empty_like(transfer._source_fourth)
+        _fourth_moved(np.ascontiguousarray(expression), transfer.faces, transfer._source_fourth, fourth)
+        there: FloatArray = transfer.target[self.vertices] + self._rows @ transfer._right_side(moved, fourth)
+        there += transfer.size_ratio * (self._standing @ moved)
+        return there
+
+
+@njit(cache=True)
+def _fourth_moved(x, faces, before, moved):  # type: ignore[no-untyped-def]
+    """`fourth_edges` less those before, in one pass."""
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        u0, u1, u2 = x[b, 0] - x[a, 0], x[b, 1] - x[a, 1], x[b, 2] - x[a, 2]
+        v0, v1, v2 = x[c, 0] - x[a, 0], x[c, 1] - x[a, 1], x[c, 2] - x[a, 2]
+        n0, n1, n2 = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
+        length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+        scale = 1 / np.sqrt(length) if length > 0 else 1.0
+        moved[f, 0] = n0 * scale - before[f, 0]
+        moved[f, 1] = n1 * scale - before[f, 1]
+        moved[f, 2] = n2 * scale - before[f, 2]
 
 
 def _stillest(motion: FloatArray) -> FloatArray:

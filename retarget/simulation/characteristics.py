@@ -46,7 +46,7 @@ class FacialCharacteristics:
         """Terms whose loop or patches the topology lacks are left out. Raises InvalidInput as deformation transfer."""
         self.pair, self.lips = pair, LipForm(lips)
         self._contour: IntArray = np.asarray(pair.regions.loops.get("lip_contour", ()), dtype=np.int64)
-        self._transfer = DeformationTransfer.of(pair, weighting) if len(self._contour) else None
+        self._transfer = DeformationTransfer.of(pair, weighting).at(self._contour) if len(self._contour) else None
         self._missed = np.zeros((len(self._contour), 3))
         if len(self._contour) and self.lips is LipForm.RELATIVE:
             source, target = (neutral[self._contour] for neutral in (pair.source_neutral, pair.target_neutral))
@@ -78,8 +78,7 @@ class FacialCharacteristics:
         """fc_lc of eqs (16) and (17)."""
         if self._transfer is None:
             return None
-        coarse = self._transfer(skin[None])[0][self._contour]
-        contour: FloatArray = _similar(skin[self._contour], coarse) + self._missed
+        contour: FloatArray = _similar(skin[self._contour], self._transfer(skin)) + self._missed
         return contour
 
 

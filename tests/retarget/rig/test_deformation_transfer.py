@@ -162,3 +162,22 @@ def test_regions_without_a_cranium_are_served():
     pair = Pair(faces, source, target, Regions())
     expected = DeformationTransfer(source, target, faces, NO_ANCHORS)(expressions(1, 1, 2))
     np.testing.assert_array_equal(DeformationTransfer.of(pair, "uniform")(expressions(1, 1, 2)), expected)
+
+
+@weightings
+@pytest.mark.parametrize("anchored", [True, False])
+def test_the_transfer_of_a_few_vertices(weighting, anchored):
+    """Two pieces, of which one may have no anchors; pinned vertices and anchors are among those asked for."""
+    source, target, (_, faces) = head(1, 2), 1.3 * head(2, 2), ball(2)
+    n = len(source)
+    two = np.concatenate([faces, faces + n])
+    source, target = np.vstack([source, source + 300]), np.vstack([target, target + 500])
+    anchors = np.r_[5:20, n + 7 : n + 30] if anchored else np.arange(5, 20)
+    transfer = DeformationTransfer(source, target, two, anchors, weighting)
+    asked = np.array([0, 3, 7, 40, n, n + 11, n + 60, 2 * n - 1])
+    points = transfer.at(asked)
+    for one in expressions(1, 3, subdivisions=2):
+        expression = np.vstack([one, 300 + 1.1 * one[::-1]])
+        np.testing.assert_allclose(points(expression), transfer(expression[None])[0][asked], atol=1e-9)
+    np.testing.assert_allclose(points(source), target[asked], atol=1e-9)
+    assert points._anchored == anchored

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from retarget.check import InvalidInput
 from retarget.geometry.procrustes import similarity_align
 from retarget.geometry.triangles import areas
+from retarget.rig.deformation_transfer import DeformationTransfer, Weighting
 from retarget.simulation.characteristics import EYE_OPENINGS, EYE_SOCKETS, FacialCharacteristics
 from retarget.types import Pair
 from tests.retarget.simulation.box_head import box_head
@@ -49,7 +50,7 @@ def test_the_printed_contour_is_a_similar_copy_of_the_source_s_close_to_the_tran
     ratio = np.linalg.norm(np.diff(found, axis=0), axis=1) / np.linalg.norm(np.diff(skin[contour], axis=0), axis=1)
     np.testing.assert_allclose(ratio, ratio[0])
     rng = np.random.default_rng(0)
-    coarse = fc._transfer(skin[None])[0][contour]
+    coarse = DeformationTransfer.of(pair, Weighting.UNIFORM)(skin[None])[0][contour]
     best = ((found - coarse) ** 2).sum()
     for _ in range(100):
         turned = Rotation.from_rotvec(0.05 * rng.normal(size=3)).apply(found) * (1 + 0.02 * rng.normal())
