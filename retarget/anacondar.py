@@ -251,6 +251,6 @@ class _Fitted:
         if rules.held != Held.NOTHING:
             wanted = anacon.characteristics(method.adt.characteristics(draft.expression))
         if wanted is not None and rules.held == Held.EVIDENCE:
-            wanted = method.evidence.held(wanted, y, y - detail, miss)
+            wanted = method.evidence.held(wanted, y, miss)
         done = anacon.take(formed, wanted, detail)
-        return replace(draft, result=done.skin + detail, solves={**draft.solves, "anacon": done.info})
+        return replace(draft, result=done.skin, solves={**draft.solves, "anacon": done.info})

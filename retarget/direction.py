@@ -64,18 +64,19 @@ class Direction:
     ) -> Carried:
         """The head held to characteristics, under the edited gravity and pulled by the control points.
 
-        detail (n, 3) mm is what the result will be completed by; control points act on the sum.
+        detail (n, 3) mm is what the skin carries on top of what tissue does.
         """
 
         def simulated(
             forward: ForwardSimulation, wanted: Characteristics | None, goals: FloatArray | None = None
         ) -> Carried:
-            return Carried(formed, forward(formed.gradients, formed.bones, 1.0, wanted, goals, self.load))
+            skin = forward.with_detail(detail)
+            return Carried(formed, skin(formed.gradients, formed.bones, 1.0, wanted, goals, self.load))
 
         done = simulated(self.anacon.forward, wanted)
         if not len(self.pulled):
             return done
-        displacements = self.displacements(done.skin + detail)
+        displacements = self.displacements(done.skin)
         if not displacements.any():
             return done
         if wanted is not None and wanted.lip_contour is not None and self._leads.any():

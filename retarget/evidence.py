@@ -82,25 +82,22 @@ class Evidence:
         kept: FloatArray = ((1 - miss) ** self.settings.caution)[:, None] * unfollowed
         return kept
 
-    def held(
-        self, wanted: Characteristics, draft: FloatArray, followed: FloatArray, miss: FloatArray
-    ) -> Characteristics:
-        """What to hold the tissue to, so that lips and eyes end where the formula above says once it is completed.
+    def held(self, wanted: Characteristics, draft: FloatArray, miss: FloatArray) -> Characteristics:
+        """What the skin is held to, for fc(S_i, S, T) as `wanted` and the draft (n, 3) mm."""
+        shown, left_open = self._areas(draft), miss**self.settings.sharpness
 
-        wanted: fc(S_i, S, T). draft (n, 3) mm, followed (n, 3) mm: the draft less what the result is completed by.
-        """
-        shown, base = self._areas(draft), self._areas(followed)
-        open_ = miss**self.settings.sharpness
-
-        def eyes(names: tuple[str, ...], part: str) -> FloatArray | None:
-            there, here, start = (getattr(c, part) for c in (wanted, shown, base))
-            if there is None:
+        def eyes(names: tuple[str, ...], there: FloatArray | None, here: FloatArray | None) -> FloatArray | None:
+            if there is None or here is None:
                 return None
-            share = open_[self._triangles[names]].mean(axis=1)
-            return np.maximum(start + share * (there - here), 0.0)
+            blended: FloatArray = here + left_open[self._triangles[names]].mean(axis=1) * (there - here)
+            return blended
 
         lips = wanted.lip_contour
         if lips is not None:
             contour = self._contour
-            lips = followed[contour] + open_[contour, None] * (lips - draft[contour])
-        return Characteristics(eyes(EYE_OPENINGS, "eye_opening"), eyes(EYE_SOCKETS, "eye_socket"), lips)
+            lips = draft[contour] + left_open[contour, None] * (lips - draft[contour])
+        return Characteristics(
+            eyes(EYE_OPENINGS, wanted.eye_opening, shown.eye_opening),
+            eyes(EYE_SOCKETS, wanted.eye_socket, shown.eye_socket),
+            lips,
+        )

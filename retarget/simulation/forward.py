@@ -101,8 +101,10 @@ class ForwardSimulation:
         self._lips = Lips(head.skin, template.faces, template.regions) if rules.collisions else None
         parts = SoftWeights(rules.w_lip_contour, rules.w_eye_opening, rules.w_eye_socket)
         self._terms = SoftTerms(head, parts, self._lips.vertices if self._lips else NONE)
-        self._points, self._offset = self._terms.points, self._terms.offset
-        self._handles = SoftRows.stack([], self._points.shape[0])
+        self._points = self._terms.points
+        self._offset = self._offset_of_tissue = self._terms.offset
+        self._handles, self._held = SoftRows.stack([], self._points.shape[0]), NONE
+        self._detail: FloatArray | float = 0.0
 
         matrix = self._tissue.matrix()
         self._from_fixed = matrix[self._free][:, self._fixed]
@@ -121,11 +123,28 @@ class ForwardSimulation:
         first = len(self._terms.skin)
         new = copy.copy(self)
         new._points = sp.csr_array(sp.vstack([self._terms.points, rows]))
-        new._offset = np.vstack([self._terms.offset, offset])
+        new._offset = new._offset_of_tissue = np.vstack([self._terms.offset, offset])
         new._system = self._without_handles.with_points(rows[:, self._free])
         pick = sp.eye_array(first + handles.count, format="csr")[first:]
-        new._handles = SoftRows(pick, weights)
+        new._handles, new._held = SoftRows(pick, weights), handles.skin
         new._soft, new._partings = {}, {}
+        return new.with_detail(self._detail)
+
+    def with_detail(self, detail: FloatArray | float) -> ForwardSimulation:
+        """The same simulation of a skin that carries a detail (n, 3) mm of its own on top of what tissue does.
+
+        Characteristics, handles and contacts are those of the whole skin. It takes the place of any other detail.
+        """
+        new = copy.copy(self)
+        new._detail = detail
+        if isinstance(detail, np.ndarray):
+            detail = check_points("detail", detail, len(self.head.skin), "vertex of the skin")
+            first, held = len(self._terms.skin), len(self._held)
+            new._offset = self._offset_of_tissue.copy()
+            new._offset[:first] += detail[self._terms.skin]
+            new._offset[first : first + held] += detail[self._held]
+        else:
+            new._offset = self._offset_of_tissue
         return new
 
     def __call__(
@@ -202,7 +221,7 @@ class ForwardSimulation:
         return pulled
 
     def _skin(self, moved: FloatArray) -> FloatArray:
-        return self.head.template.embedding @ moved + self.head.residual
+        return self.head.template.embedding @ moved + self.head.residual + self._detail
 
     def _resolve(
         self, lips: Lips, soft: SoftSystem, problem: SoftProblem, solution: CondensedSolution, free: FloatArray

@@ -8,11 +8,12 @@ from retarget.anatomy.closed import cap
 from retarget.anatomy.head import Head
 from retarget.anatomy.store import load_template
 from retarget.simulation.bones import carry_bones, fit_bones, pivot, rotation_angle
-from retarget.simulation.characteristics import FacialCharacteristics
+from retarget.simulation.characteristics import Characteristics, FacialCharacteristics
 from retarget.simulation.collisions import Lips
 from retarget.simulation.forward import ForwardSettings, ForwardSimulation
 from retarget.simulation.inverse import InverseSimulation
 from retarget.simulation.projective_dynamics import ProjectiveDynamics, SolverSettings, tissue_weights
+from retarget.simulation.soft_terms import Handles
 from retarget.simulation.state import Bones, RigidMotion
 from retarget.simulation.tetrahedra import deformation_gradients
 from retarget.types import Pair, Status
@@ -176,3 +177,26 @@ def test_an_open_jaw_takes_the_chin_along(head, forward):
         for s in (head.skin, state.skin)
     ]
     assert gap[1] > gap[0] + 8
+
+
+def test_a_detail_is_skin_on_top_of_tissue(head, inverse):
+    """Where nothing pulls it is added; the lip contour and handles end where they should with it on."""
+    skin = head.skin + 0
+    state = inverse(skin)
+    plain = ForwardSimulation(head, ForwardSettings(collisions=False))
+    rng = np.random.default_rng(0)
+    detail = 0.2 * rng.normal(size=skin.shape)
+    found = plain.with_detail(detail)(state.gradients, state.bones)
+    np.testing.assert_allclose(found.skin - plain(state.gradients, state.bones).skin, detail, atol=1e-9)
+    contour = head.template.regions.loops["lip_contour"]
+    wanted = Characteristics(lip_contour=skin[contour] + [0, 0.5, 0])
+    held = plain.with_detail(detail)(state.gradients, state.bones, characteristics=wanted)
+    assert np.linalg.norm(held.skin[contour] - wanted.lip_contour, axis=1).mean() < 0.1
+    np.testing.assert_array_equal(
+        plain.with_detail(detail).with_detail(0.0)(state.gradients, state.bones).skin,
+        plain(state.gradients, state.bones).skin,
+    )
+    handles = Handles(skin=contour[:3], weights=1e5)
+    for order in (plain.with_handles(handles).with_detail(detail), plain.with_detail(detail).with_handles(handles)):
+        pulled = order(state.gradients, state.bones, handles=skin[contour[:3]] + [0, 0, 1.0])
+        np.testing.assert_allclose(pulled.skin[contour[:3]], skin[contour[:3]] + [0, 0, 1.0], atol=0.02)
