@@ -15,7 +15,7 @@ import numpy as np
 from retarget.anatomy.template import check_size
 from retarget.character import TetWeights, Topology, characters
 from retarget.check import InvalidInput, check_frames
-from retarget.simulation.bones import size_ratio
+from retarget.simulation.bones import Jaw, size_ratio
 from retarget.simulation.characteristics import Characteristics, FacialCharacteristics, LipForm
 from retarget.simulation.forward import ForwardSettings, ForwardSimulation, ForwardState
 from retarget.simulation.inverse import InverseSettings, InverseSimulation
@@ -33,8 +33,9 @@ class AnatomySettings:
 
     template: `coarse` or `paper`. length_mm: unit of length, in mm, of the weights of squared distances; 10 reads the
     published ones in centimetres, as `retarget.simulation.weights` explains. tets: see `TetWeights`.
-    lips: see `LipForm`. collisions: resolve those of the lips. streaming: frames are an animation in its order, and
-    each solve starts from those before it: fewer iterations, and results that differ by the solver's tolerance.
+    lips: see `LipForm`. jaw: see `Jaw`. collisions: resolve those of the lips. streaming: frames are an animation in
+    its order, and each solve starts from those before it: fewer iterations, and results that differ by the solver's
+    tolerance.
     Raises InvalidInput for settings out of range.
     """
 
@@ -50,6 +51,7 @@ class AnatomySettings:
     w_eye_socket: float = 10.0  # w_F of eq. (A.3)
     lips: LipForm | str = LipForm.RELATIVE
     tets: TetWeights | str = TetWeights.VOLUME
+    jaw: Jaw | str = Jaw.JOINT
     collisions: bool = True
     streaming: bool = False
 
@@ -57,6 +59,7 @@ class AnatomySettings:
         check_size(self.template)
         choose("lips", self.lips, LipForm)
         choose("tets", self.tets, TetWeights)
+        choose("jaw", self.jaw, Jaw)
         if not 0 < self.length_mm < np.inf:
             raise InvalidInput(f"length_mm: expected a positive number, got {self.length_mm}.")
         self.inverse_settings, self.forward_settings  # noqa: B018  # raise for weights out of range
@@ -64,7 +67,7 @@ class AnatomySettings:
     @property
     def inverse_settings(self) -> InverseSettings:
         """Weights of eq. (14)."""
-        return InverseSettings(self.w_soft, self.w_muscle, self.w_target * self._per_squared_length)
+        return InverseSettings(self.w_soft, self.w_muscle, self.w_target * self._per_squared_length, jaw=self.jaw)
 
     @property
     def forward_settings(self) -> ForwardSettings:

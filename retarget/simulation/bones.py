@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
+
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from retarget.anatomy.head import Head
 from retarget.check import InvalidInput, check_vertices
@@ -17,6 +20,11 @@ CRANIUM_SHIFT = 1.0  # mm, mean over the set `cranium`
 JAW_ANGLE = 45.0  # degrees
 JAW_OPENING = 80.0  # mm at the lower incisors
 CONDYLE_SHIFT = 35.0  # mm
+# Of a jaw held at its joint, besides the hinge, in one expression:
+TURN = 0.05  # rad about the other axes
+SLIDE = (1.0, 2.0, 3.0)  # mm along the hinge's axis, up, and forward
+SKIN_SLIDE = 1.0  # mm that skin slides over the jaw, rms
+JOINT_STEPS = 5  # of Gauss-Newton; from rest to 45 degrees it settles in 4
 FARTHEST = 150.0  # mm that a vertex or a handle may be from rest: about twice the largest opening of the jaw
 
 
@@ -46,8 +54,15 @@ def check_moves(name: str, points: FloatArray, rest: FloatArray) -> None:
         )
 
 
-def fit_bones(head: Head, skin: FloatArray) -> Bones:
-    """The motions that take the skin over cranium and jaw from rest to `skin` (n, 3) mm, each fitted by itself.
+class Jaw(StrEnum):
+    """How the jaw moves."""
+
+    FREE = "free"  # the rigid fit of its skin by itself, section 3.3.2
+    JOINT = "joint"  # differs from the paper: about its joints, see `_at_joint`
+
+
+def fit_bones(head: Head, skin: FloatArray, jaw: Jaw | str = Jaw.FREE) -> Bones:
+    """The motions that take the skin over cranium and jaw from rest to `skin` (n, 3) mm.
 
     Raises InvalidInput for skin that is not stabilised: the set `cranium`, which no expression moves, turns by more
     than 1 degree or is displaced by more than 1 mm on average. `cranium_skin`, from which the bone is fitted, is the
@@ -57,9 +72,11 @@ def fit_bones(head: Head, skin: FloatArray) -> Bones:
     skin = check_vertices("expression", skin, len(head.skin))
     check_moves("expression", skin, head.skin)
     check_stabilised(head, skin)
-    cranium, jaw = (_fit(head, skin, name) for name in ("cranium_skin", "jaw_skin"))
-    _check_jaw(head, cranium, jaw)
-    return Bones(cranium, jaw)
+    cranium, mandible = (_fit(head, skin, name) for name in ("cranium_skin", "jaw_skin"))
+    if Jaw(jaw) is Jaw.JOINT:
+        mandible = _at_joint(head, skin, cranium)
+    _check_jaw(head, cranium, mandible)
+    return Bones(cranium, mandible)
 
 
 def check_stabilised(head: Head, skin: FloatArray) -> None:
@@ -125,6 +142,44 @@ def _fit(head: Head, skin: FloatArray, name: str) -> RigidMotion:
     rotation, translation = rigid_align(head.skin[members], skin[members])
     centre = pivot(head)
     return RigidMotion(rotation, translation + rotation @ centre - centre, centre)
+
+
+def _at_joint(head: Head, skin: FloatArray, cranium: RigidMotion) -> RigidMotion:
+    """The jaw's motion as its joints allow: a hinge about the axis of the condyles, and little else.
+
+    # differs from the paper: which fits the jaw's skin by itself. Skin that slides over the bone then turns and shifts
+    a jaw that does not move. Minimised, in the cranium's frame, is the mean squared distance of the jaw's skin over
+    SKIN_SLIDE^2, plus the squares of all but the hinge over their usual sizes, by Gauss-Newton.
+    """
+    still = head.template.regions.vertices["jaw_skin"]
+    centre, axis = pivot(head), head.condyles[0] - head.condyles[1]
+    frame = _frame(axis)
+    points = (head.skin[still] - centre) @ frame.T
+    seen = (((skin[still] - cranium(centre)) @ cranium.rotation) @ frame.T).ravel()
+    prior = np.concatenate([[0.0], 1 / np.square([TURN, TURN, *SLIDE])])
+    weight = 1 / (len(points) * SKIN_SLIDE**2)
+    turn, shift = np.zeros(3), np.zeros(3)
+    for _ in range(JOINT_STEPS):
+        turned = points @ Rotation.from_rotvec(turn).as_matrix().T
+        columns = [np.cross(e, turned).ravel() for e in np.eye(3)]
+        columns += [np.tile(e, len(points)) for e in np.eye(3)]
+        jacobian = np.stack(columns, axis=1)
+        left = seen - (turned + shift).ravel()
+        step = np.linalg.solve(
+            weight * jacobian.T @ jacobian + np.diag(prior),
+            weight * jacobian.T @ left - prior * np.concatenate([turn, shift]),
+        )
+        turn, shift = turn + step[:3], shift + step[3:]
+    rotation = cranium.rotation @ frame.T @ Rotation.from_rotvec(turn).as_matrix() @ frame
+    return RigidMotion(rotation, cranium.translation + cranium.rotation @ (frame.T @ shift), centre)
+
+
+def _frame(axis: FloatArray) -> FloatArray:
+    """(3, 3) rotation whose rows are the hinge's axis, up, and forward as far as they are at right angles."""
+    first = axis / np.linalg.norm(axis)
+    forward = np.cross(first, [0.0, 1.0, 0.0])
+    forward /= np.linalg.norm(forward)
+    return np.stack([first, np.cross(forward, first), forward])
 
 
 def _check_jaw(head: Head, cranium: RigidMotion, jaw: RigidMotion) -> None:

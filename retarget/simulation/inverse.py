@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from retarget.anatomy.head import Head
 from retarget.check import InvalidInput, check_frames, check_points, check_vertices
-from retarget.simulation.bones import at_rest, check_moves, fit_bones, place_bones
+from retarget.simulation.bones import Jaw, at_rest, check_moves, fit_bones, place_bones
 from retarget.simulation.local_step import paper_energy
 from retarget.simulation.materials import check_gravity, check_stiffness
 from retarget.simulation.projections import closest_rotation
@@ -50,11 +50,13 @@ class InverseSettings:
     w_target: float = 100.0  # w_tar of Table 3
     muscle_strain: float = 0.05  # see `tissue_weights`
     surface: Literal["soft", "hard"] = "soft"  # hard: see `surface.carried_by_skin`
+    jaw: Jaw | str = Jaw.FREE
     history: int = 6  # expressions that `stream` predicts the next one from
     solver: SolverSettings = field(default_factory=lambda: SolverSettings(energy_tolerance=1e-3))
 
     def __post_init__(self) -> None:
         choose("surface", self.surface, ("soft", "hard"))
+        choose("jaw", self.jaw, Jaw)
         if not (np.isfinite(self.w_target) and self.w_target > 0 and self.history >= 1):
             raise InvalidInput(
                 "InverseSettings: expected a finite w_target > 0 and history >= 1, "
@@ -225,7 +227,7 @@ class InverseSimulation:
         """Step 1 of section 3.3.2, and the targets of step 2."""
         head, template = self.head, self.head.template
         skin = check_vertices("expression", skin, len(head.skin))
-        bones = fit_bones(head, skin)
+        bones = fit_bones(head, skin, self.settings.jaw)
         if (handles is None) != (self._handle_count == 0):
             raise InvalidInput(
                 f"handles: this simulation was made with {self._handle_count}, expected a target (3,) mm for each of "

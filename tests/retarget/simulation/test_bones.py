@@ -5,7 +5,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from retarget.check import InvalidInput
-from retarget.simulation.bones import bounding_box_diameter, fit_bones, pivot, place_bones, rotation_angle, size_ratio
+from retarget.simulation.bones import (
+    SKIN_SLIDE,
+    SLIDE,
+    bounding_box_diameter,
+    fit_bones,
+    pivot,
+    place_bones,
+    rotation_angle,
+    size_ratio,
+)
 from retarget.simulation.state import Bones, RigidMotion
 from retarget.types import Regions
 from tests.retarget.simulation.box_head import box_head
@@ -32,6 +41,40 @@ def test_the_fit_finds_the_motions_that_were_applied():
     np.testing.assert_allclose(bones.jaw.translation, jaw.translation, atol=1e-9)
     np.testing.assert_allclose(bones.cranium.rotation, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(bones.cranium.translation, 0, atol=1e-9)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 10.0, 40.0])
+@pytest.mark.parametrize("nod", [0.0, 0.8])
+def test_a_jaw_at_its_joint_finds_a_hinge_exactly(degrees, nod):
+    """A pure hinge costs no prior, whatever the cranium does."""
+    head = box_head()
+    skin, jaw = opened(head, degrees, slide=(0, 0, 0), nod=nod)
+    bones = fit_bones(head, skin, "joint")
+    np.testing.assert_allclose(bones.jaw.rotation, turn("x", nod) @ jaw.rotation, atol=1e-9)
+    np.testing.assert_allclose(bones.jaw.translation, 0, atol=1e-7)
+
+
+def test_a_jaw_at_its_joint_ignores_most_of_what_its_skin_does_alone():
+    """Skin pulled back at one end turns and shifts a jaw that is fitted freely."""
+    head = box_head()
+    members = head.template.regions.vertices["jaw_skin"]
+    skin = head.skin.copy()
+    skin[members[: len(members) // 2]] += [0.5, 2.0, -2.0]
+    free, joint = (fit_bones(head, skin, jaw).jaw for jaw in ("free", "joint"))
+    assert rotation_angle(joint.rotation) < 0.5 * rotation_angle(free.rotation)
+    assert np.linalg.norm(joint.translation) < 0.5 * np.linalg.norm(free.translation)
+
+
+def test_a_joint_slides_by_the_balance_of_skin_and_prior():
+    """All skin of the jaw forward by 4 mm, without a turn to gain: 4 / (1 + SKIN_SLIDE^2 / SLIDE^2) by hand."""
+    head = box_head()
+    members = head.template.regions.vertices["jaw_skin"]
+    centred = replace(head, condyles=head.condyles + (head.skin[members].mean(axis=0) - pivot(head)))
+    skin = centred.skin.copy()
+    skin[members] += [0, 0, 4.0]
+    found = fit_bones(centred, skin, "joint").jaw
+    np.testing.assert_allclose(found.translation, [0, 0, 4.0 / (1 + SKIN_SLIDE**2 / SLIDE[2] ** 2)], atol=1e-6)
+    np.testing.assert_allclose(found.rotation, np.eye(3), atol=1e-9)
 
 
 def test_a_hinge_has_no_translation():
