@@ -16,6 +16,7 @@ TRIGGER = 0.05  # mm: shallower contacts are left alone
 DEEP = 1.0  # mm: what lies deeper at rest is in no contact but folded, and no candidate
 REACH = 16.0  # mm: how far the inner sides of the lips count as lips
 NEAR = 1.0  # mm: surfaces that are further apart do not touch
+CROSSING = 0.5  # mm
 SHALLOW = 2.0  # mm: the nearest point is on the right side of a lip up to this depth
 
 
@@ -75,8 +76,9 @@ class Lips:
         return Gaps.stack([other.gaps(x, normals, samples, NEAR, reach) for samples, other in self._pairs])
 
     def meet(self, points: FloatArray) -> bool:
-        """Whether any sample passes TRIGGER by `gaps`."""
-        return bool((self.floor - self.gaps(points).gap).max(initial=0.0) > TRIGGER)
+        """Whether any sample passes TRIGGER by `gaps`. It looks no deeper than CROSSING: where surfaces cross, some
+        samples are shallow."""
+        return bool((self.floor - self.gaps(points, CROSSING).gap).max(initial=0.0) > TRIGGER)
 
     def depth(self, skin: FloatArray) -> float:
         """mm: how deep any sample lies inside of the whole skin (n, 3) mm: its distance from the other lip, at most
@@ -90,17 +92,22 @@ class Lips:
 
     def _inside(self, skin: FloatArray) -> list[FloatArray]:
         """Of each lip the depths (s,) mm of its samples, 0 outside."""
+        triangles = np.vstack([own for _, own, _ in self._measured])
+        a, b, c = (skin[triangles[:, i]] for i in range(3))
+        normal = np.cross(b - a, c - a)
+        length = np.linalg.norm(normal, axis=1, keepdims=True)
+        x = np.vstack([skin, (a + b + c) / 3 + SKIN * normal / np.where(length > 0, length, 1.0)])
+        samples, first = [], len(skin)
+        for points, own, _ in self._measured:
+            samples.append(np.concatenate([points, np.arange(first, first + len(own))]))
+            first += len(own)
+        found = np.split(inside(x, self._faces, np.concatenate(samples)), [len(samples[0])])
         depths = []
-        for points, own, other in self._measured:
-            normal = np.cross(skin[own[:, 1]] - skin[own[:, 0]], skin[own[:, 2]] - skin[own[:, 0]])
-            length = np.linalg.norm(normal, axis=1, keepdims=True)
-            centres = skin[own].mean(axis=1) + SKIN * normal / np.where(length > 0, length, 1.0)
-            x = np.vstack([skin, centres])
-            samples = np.concatenate([points, np.arange(len(skin), len(x))])
-            within = np.flatnonzero(inside(x, self._faces, samples))
-            distance, corners, weights = other.nearest(x, samples[within])
+        for places, is_inside, (_, _, other) in zip(samples, found, self._measured, strict=True):
+            within = np.flatnonzero(is_inside)
+            distance, corners, weights = other.nearest(x, places[within])
             folded = ((weights <= 0) | np.isin(corners, self._seam)).all(axis=1) & (weights.sum(axis=1) > 0)
-            depth = np.zeros(len(samples))
+            depth = np.zeros(len(places))
             depth[within] = np.where(folded, 0.0, distance)
             depths.append(depth)
         return depths

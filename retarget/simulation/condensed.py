@@ -21,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from numba import njit
 from scipy.linalg import solve_triangular
 
 from retarget.simulation.area_terms import project
@@ -61,13 +62,24 @@ class CondensedSystem:
 
     def shifts(self, forces: FloatArray) -> FloatArray:
         """K f (m, 3): what forces f (m, 3) move the points by."""
-        pulled = np.flatnonzero(forces.any(axis=1))
-        moved: FloatArray = self.compliance[pulled].T @ forces[pulled]
+        moved = np.zeros((len(self.compliance), 3))
+        _shift(self.compliance, forces, np.flatnonzero(forces.any(axis=1)), moved)
         return moved
 
     def pulled(self, forces: FloatArray) -> FloatArray:
         """A^-1 C^T f (n, 3): what forces f (m, 3) at the points move the vertices by."""
         return self.factor.solve(self.points.T @ forces)
+
+
+@njit(cache=True)
+def _shift(compliance, forces, pulled, moved):  # type: ignore[no-untyped-def]
+    """Only the rows of pulled points are read; the matrix is symmetric."""
+    for k in pulled:
+        a, b, c = forces[k, 0], forces[k, 1], forces[k, 2]
+        for i in range(len(moved)):
+            moved[i, 0] += compliance[k, i] * a
+            moved[i, 1] += compliance[k, i] * b
+            moved[i, 2] += compliance[k, i] * c
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from retarget.types import FloatArray, IntArray
 
 FACING = 0.2  # largest cosine between the normals of a sample and of a triangle that it may touch
 ON_EDGE = 1e-9  # barycentric coordinates below are 0
+MOST = 48  # cubes in a row
 CLOSE = 0.02  # mm: nearer than this the direction to the nearest point says little
 
 
@@ -76,7 +77,7 @@ class FacingSurface:
         """Gaps of samples on vertices x (v, 3) mm with normals (v, 3): at most `near` mm, at least -`reach` mm."""
         count = samples.count
         found = Gaps(np.full(count, np.inf), np.zeros((count, 3), np.int64), np.zeros((count, 3)), np.zeros((count, 3)))
-        if count and len(self.faces):
+        if count and len(self.faces) and np.isfinite(x).all():
             surface = self.faces, self._beyond, self._rim
             parts = found.gap, found.corners, found.weights, found.normal
             _gaps(x, normals, samples.corners, samples.weights, *surface, near, reach, *parts)
@@ -87,17 +88,61 @@ class FacingSurface:
 def vertex_normals(x, faces):  # type: ignore[no-untyped-def]
     """(v, 3) of length 1, or 0 without a triangle: those of the triangles, weighted by their angles."""
     normals = np.zeros_like(x)
+    e = np.empty((3, 3))  # edges, each from a corner to the next one
     for f in range(len(faces)):
         for corner in range(3):
-            o, p, q = faces[f, corner], faces[f, (corner + 1) % 3], faces[f, (corner + 2) % 3]
-            u, v = x[p] - x[o], x[q] - x[o]
-            normal = np.cross(u, v)
-            length = np.sqrt((normal * normal).sum())
-            if length > 0:
-                normals[o] += np.arctan2(length, (u * v).sum()) / length * normal
+            for i in range(3):
+                e[corner, i] = x[faces[f, (corner + 1) % 3], i] - x[faces[f, corner], i]
+        n0 = e[0, 1] * e[1, 2] - e[0, 2] * e[1, 1]
+        n1 = e[0, 2] * e[1, 0] - e[0, 0] * e[1, 2]
+        n2 = e[0, 0] * e[1, 1] - e[0, 1] * e[1, 0]
+        length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+        if length > 0:
+            for corner in range(3):
+                last = (corner + 2) % 3
+                cosine = -(e[corner, 0] * e[last, 0] + e[corner, 1] * e[last, 1] + e[corner, 2] * e[last, 2])
+                weight, o = np.arctan2(length, cosine) / length, faces[f, corner]
+                normals[o, 0] += weight * n0
+                normals[o, 1] += weight * n1
+                normals[o, 2] += weight * n2
     for i in range(len(x)):
-        normals[i] /= max(np.sqrt((normals[i] * normals[i]).sum()), TINY)
+        length = np.sqrt(normals[i, 0] ** 2 + normals[i, 1] ** 2 + normals[i, 2] ** 2)
+        for c in range(3):
+            normals[i, c] /= max(length, TINY)
     return normals
+
+
+@njit(cache=True)
+def _cells(low, high, reach):  # type: ignore[no-untyped-def]
+    """Cubes, each with the triangles whose boxes come as close to it as `reach`: their side, the lowest corner of the
+    first one, their counts, and the triangles of each."""
+    origin, counts, side = np.empty(3), np.empty(3, np.int64), reach
+    for i in range(3):
+        origin[i] = low[:, i].min() - reach
+        side = max(side, (high[:, i].max() + reach - origin[i]) / MOST)
+    for i in range(3):
+        counts[i] = int((high[:, i].max() + reach - origin[i]) / side) + 1
+    first, last = np.empty((len(low), 3), np.int64), np.empty((len(low), 3), np.int64)
+    for f in range(len(low)):
+        for i in range(3):
+            first[f, i] = int((low[f, i] - reach - origin[i]) / side)
+            last[f, i] = int((high[f, i] + reach - origin[i]) / side)
+    starts = np.zeros(counts[0] * counts[1] * counts[2] + 1, np.int64)
+    for filling in range(2):
+        if filling:
+            starts = np.cumsum(starts)
+            content, at = np.empty(starts[-1], np.int64), starts[:-1].copy()
+        for f in range(len(low)):
+            for a in range(first[f, 0], last[f, 0] + 1):
+                for b in range(first[f, 1], last[f, 1] + 1):
+                    row = (a * counts[1] + b) * counts[2]
+                    for cell in range(row + first[f, 2], row + last[f, 2] + 1):
+                        if filling:
+                            content[at[cell]] = f
+                            at[cell] += 1
+                        else:
+                            starts[cell + 1] += 1
+    return side, origin, counts, starts, content
 
 
 @njit(cache=True)
@@ -105,32 +150,39 @@ def _gaps(x, normals, own, mean, faces, beyond, rim, near, reach, gap, corners, 
     count = len(faces)
     low, high, flat = np.empty((count, 3)), np.empty((count, 3)), np.empty((count, 3))
     for f in range(count):
-        a, b, c = x[faces[f, 0]], x[faces[f, 1]], x[faces[f, 2]]
-        normal = np.cross(b - a, c - a)
-        flat[f] = normal / max(np.sqrt((normal * normal).sum()), TINY)
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         for i in range(3):
-            low[f, i], high[f, i] = min(a[i], b[i], c[i]), max(a[i], b[i], c[i])
-    order = np.argsort(low[:, 0], kind="mergesort")
-    left, widest = low[order, 0], (high[:, 0] - low[:, 0]).max()
+            low[f, i], high[f, i] = min(x[a, i], x[b, i], x[c, i]), max(x[a, i], x[b, i], x[c, i])
+            j, k = (i + 1) % 3, (i + 2) % 3
+            flat[f, i] = (x[b, j] - x[a, j]) * (x[c, k] - x[a, k]) - (x[b, k] - x[a, k]) * (x[c, j] - x[a, j])
+        length = np.sqrt(flat[f, 0] ** 2 + flat[f, 1] ** 2 + flat[f, 2] ** 2)
+        for i in range(3):
+            flat[f, i] /= max(length, TINY)
+    cube, origin, counts, starts, content = _cells(low, high, reach)
     p, up = np.empty(3), np.empty(3)
     for k in range(len(own)):
+        cell, beside = 0, False
         for i in range(3):
             p[i] = up[i] = 0.0
             for j in range(3):
                 p[i] += mean[k, j] * x[own[k, j], i]
                 up[i] += mean[k, j] * normals[own[k, j], i]
-        limit = FACING * np.sqrt((up * up).sum())
+            slot = int(np.floor((p[i] - origin[i]) / cube))
+            beside = beside or slot < 0 or slot >= counts[i]
+            cell = cell * counts[i] + slot
+        if beside:
+            continue
+        limit = FACING * np.sqrt(up[0] ** 2 + up[1] ** 2 + up[2] ** 2)
         best, at, s, t = reach * reach, -1, 0.0, 0.0  # of all triangles
         best_facing, facing, s_facing, t_facing = best, -1, 0.0, 0.0
-        first = np.searchsorted(left, p[0] - reach - widest)
-        for f in order[first : np.searchsorted(left, p[0] + reach)]:
+        for f in content[starts[cell] : starts[cell + 1]]:
             squared = 0.0
             for i in range(3):
                 aside = max(low[f, i] - p[i], p[i] - high[f, i], 0.0)
                 squared += aside * aside
             if squared >= best_facing:
                 continue
-            faces_it = (flat[f] * up).sum() <= limit
+            faces_it = flat[f, 0] * up[0] + flat[f, 1] * up[1] + flat[f, 2] * up[2] <= limit
             if squared >= best and not faces_it:
                 continue
             squared, u, v = nearest_on_triangle(p, x[faces[f, 0]], x[faces[f, 1]], x[faces[f, 2]])

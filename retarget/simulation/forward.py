@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
-from itertools import chain
 
 import numpy as np
 import scipy.sparse as sp
@@ -26,7 +25,7 @@ from retarget.simulation.bones import at_rest, carry_bones, check_moves, place_b
 from retarget.simulation.characteristics import Characteristics
 from retarget.simulation.collisions import Lips
 from retarget.simulation.condensed import CondensedSolution, CondensedSystem, SoftProblem, SoftRows, SoftSystem
-from retarget.simulation.contact_forces import Parting
+from retarget.simulation.contact_forces import Apart, Parting
 from retarget.simulation.gradient_energy import GradientEnergy
 from retarget.simulation.materials import check_gravity, check_stiffness
 from retarget.simulation.soft_terms import NONE, Goals, Handles, SoftTerms, SoftWeights, handle_points
@@ -73,12 +72,33 @@ class LipReport:
     rounds: int = 0  # times that contacts were found and solved for
     way: float = 1.0  # of the way from rest that the lips have gone: less where they could not be parted further on
 
+    @classmethod
+    def of(cls, before: float, after: float, parted: Apart) -> LipReport:
+        return cls(before, after, int(parted.touching.sum()), parted.rounds, parted.way)
+
 
 @dataclass(frozen=True)
 class ForwardState(HeadState):
     """The result of a forward simulation; `info.energy` is that of the last run, at its start and per iteration."""
 
     lips: LipReport = LipReport()
+
+
+@dataclass(frozen=True)
+class _Run:
+    """A minimum, and what its forces move the points by, (m, 3) mm."""
+
+    solution: CondensedSolution
+    shifts: FloatArray
+
+
+@dataclass(frozen=True)
+class _Formed:
+    """The head of a run: tet vertices (v, 3) mm and skin (n, 3) mm."""
+
+    run: _Run
+    vertices: FloatArray
+    skin: FloatArray
 
 
 class ForwardSimulation:
@@ -183,12 +203,13 @@ class ForwardSimulation:
             targets = np.vstack([targets, pulled])
         problem = SoftProblem(self._points @ moved + self._offset, targets, goals.ratios)
         soft = self._soft_system(goals, handles is not None)
-        solution, lips = self._solve(soft, problem), LipReport()  # step 2
+        solution = self._solve(soft, problem)  # step 2
+        run = _Run(solution, self._system.shifts(solution.forces))
         if self._lips and collisions:
-            solution, moved, lips = self._resolve(self._lips, soft, problem, solution, moved)  # step 3
+            done, lips = self._resolve(self._lips, soft, problem, run, moved)  # step 3
         else:
-            moved = self._pulled(moved, solution)
-        return self._state(moved, wanted, carry_bones(self.head, bones, scale), solution, lips)  # eq. (10)
+            done, lips = self._formed(run, moved), LipReport()
+        return self._state(done, wanted, carry_bones(self.head, bones, scale), lips)  # eq. (10)
 
     def _check_gradients(self, gradients: FloatArray) -> FloatArray:
         wanted = np.asarray(gradients, dtype=np.float64)
@@ -212,22 +233,18 @@ class ForwardSimulation:
     def _solve(self, soft: SoftSystem, problem: SoftProblem, start: FloatArray | None = None) -> CondensedSolution:
         return soft.solve(problem, self.settings.area_iterations, self.settings.area_tolerance, start)
 
-    def _pulled(self, moved: FloatArray, solution: CondensedSolution) -> FloatArray:
-        """Vertices (v, 3) mm from those without forces."""
-        if not solution.forces.any():
-            return moved
-        pulled = moved.copy()
-        pulled[self._free] += self._system.pulled(solution.forces)
-        return pulled
-
-    def _skin(self, moved: FloatArray) -> FloatArray:
-        return self.head.template.embedding @ moved + self.head.residual + self._detail
+    def _formed(self, run: _Run, free: FloatArray) -> _Formed:
+        """The head of a run, from the vertices `free` (v, 3) mm without forces."""
+        moved = free
+        if run.solution.forces.any():
+            moved = free.copy()
+            moved[self._free] += self._system.pulled(run.solution.forces)
+        return _Formed(run, moved, self.head.template.embedding @ moved + self.head.residual)
 
     def _resolve(
-        self, lips: Lips, soft: SoftSystem, problem: SoftProblem, solution: CondensedSolution, free: FloatArray
-    ) -> tuple[CondensedSolution, FloatArray, LipReport]:
-        """Part the lips where they are in each other and solve again; from the vertices `free` (v, 3) mm without forces
-        to those of the result.
+        self, lips: Lips, soft: SoftSystem, problem: SoftProblem, run: _Run, free: FloatArray
+    ) -> tuple[_Formed, LipReport]:
+        """Part the lips where they are in each other and solve again; `free` (v, 3) mm are the vertices without forces.
 
         # differs from the paper: which moves both sides to their average position, once. There is where forces balance
         if both lips are equally soft; prescribed, it folds skin whose points hang on the same tets, and new ones meet.
@@ -235,27 +252,33 @@ class ForwardSimulation:
         result is taken: never a deeper one than without contacts.
         """
         rules, place = self.settings, self._terms.place[lips.vertices]
-        points = (problem.points + self._system.shifts(solution.forces))[place]
-        moved = self._pulled(free, solution)
-        before = lips.depth(self._skin(moved))
-        best, apart = (solution, moved, before), None
-        if before > ACCEPTED or lips.meet(points):
-            parting = self._parting(lips, soft)
-            direct = parting.directly(points, rules.collision_rounds)
-            for tried in chain([direct], parting.along(points, rules.collision_rounds)):
-                found = self._apart(soft, problem, solution, free, place, tried.forces)
-                depth = lips.depth(self._skin(found[1]))
-                if depth < best[2] or (apart is None and depth <= ACCEPTED):
-                    best, apart = (*found, depth), tried
-                if best[2] <= ACCEPTED:
-                    break
-        solution, moved, after = best
-        report = LipReport(before, after)
-        if apart:
-            report = LipReport(before, after, int(apart.touching.sum()), apart.rounds, apart.way)
+        points, direct = (problem.points + run.shifts)[place], None
+        if lips.meet(points):  # seldom wrong, and then the head with crossed lips need not be formed
+            direct = self._parting(lips, soft).directly(points, rules.collision_rounds)
+            parted = self._formed(self._apart(soft, problem, run, place, direct.forces), free)
+            left = lips.depth(parted.skin)
+            if left <= ACCEPTED:
+                crossed = parted.skin.copy()
+                crossed[lips.vertices] = points
+                return parted, LipReport.of(lips.depth(crossed), left, direct)
+        done, best = self._formed(run, free), None
+        before = after = lips.depth(done.skin)
+        if before <= ACCEPTED:
+            return done, LipReport(before, after)
+        if direct and left < before:
+            done, after, best = parted, left, direct
+        for tried in self._parting(lips, soft).along(points, rules.collision_rounds):
+            parted = self._formed(self._apart(soft, problem, run, place, tried.forces), free)
+            left = lips.depth(parted.skin)
+            if left < after:
+                done, after, best = parted, left, tried
+            if after <= ACCEPTED:
+                break
+        report = LipReport.of(before, after, best) if best else LipReport(before, after)
+        solution = done.run.solution
         if (after > ACCEPTED or report.way < 1) and solution.status is Status.CONVERGED:
-            solution = replace(solution, status=Status.MAX_ITERATIONS)
-        return solution, moved, report
+            done = replace(done, run=replace(done.run, solution=replace(solution, status=Status.MAX_ITERATIONS)))
+        return done, report
 
     def _parting(self, lips: Lips, soft: SoftSystem) -> Parting:
         """Made when lips meet first under the terms of `soft`."""
@@ -266,32 +289,21 @@ class ForwardSimulation:
             self._partings[soft] = Parting(lips.gaps, lips.samples, lips.floor, rest, compliance, stiffness)
         return self._partings[soft]
 
-    def _apart(
-        self,
-        soft: SoftSystem,
-        problem: SoftProblem,
-        solution: CondensedSolution,
-        free: FloatArray,
-        place: IntArray,
-        forces: FloatArray,
-    ) -> tuple[CondensedSolution, FloatArray]:
-        """The solution and the vertices under forces (p, 3) at the lips."""
+    def _apart(self, soft: SoftSystem, problem: SoftProblem, run: _Run, place: IntArray, forces: FloatArray) -> _Run:
+        """A run under forces (p, 3) at the lips, from one without."""
         contact = np.zeros_like(problem.points)
         contact[place] = forces
-        shifted = replace(problem, points=problem.points + self._system.shifts(contact))
-        found = self._solve(soft, shifted, solution.goal)
-        total = contact + found.forces
+        shifts = self._system.shifts(contact)
+        shifted = replace(problem, points=problem.points + shifts)
+        found = self._solve(soft, shifted, run.solution.goal)
         # Their energy without the contacts' potential, which is the same in every iteration.
-        work = float(
-            np.vdot(total, self._system.shifts(total)) - np.vdot(found.forces, self._system.shifts(found.forces))
-        )
+        rest = self._system.shifts(found.forces)
+        work = float(np.vdot(contact, shifts + 2 * rest))
         energy = tuple(e + work for e in found.energy)
-        found = replace(found, forces=total, energy=energy)
-        return found, self._pulled(free, found)
+        return _Run(replace(found, forces=contact + found.forces, energy=energy), shifts + rest)
 
-    def _state(
-        self, moved: FloatArray, wanted: FloatArray, bones: Bones, solution: CondensedSolution, lips: LipReport
-    ) -> ForwardState:
+    def _state(self, done: _Formed, wanted: FloatArray, bones: Bones, lips: LipReport) -> ForwardState:
+        moved, solution = done.vertices, done.run.solution
         head = self.head
         tissue, gradients = self._tissue(moved, wanted)
         if not np.isfinite(tissue) or solution.status is Status.FAILED:
@@ -300,13 +312,12 @@ class ForwardSimulation:
             message = "a plain iteration on areas raised the energy" if finite else "the result is not finite"
             info = SolveInfo(Status.FAILED, 0, (), message)
             return ForwardState(head.vertices.copy(), head.skin.copy(), rest, at_rest(head), info)
-        free = tissue - float(np.vdot(solution.forces, self._system.shifts(solution.forces)))  # of x0
+        free = tissue - float(np.vdot(solution.forces, done.run.shifts))  # of x0
         energy = tuple(free + e for e in solution.energy)
         message = ""
         if lips.rounds or lips.after > ACCEPTED:
             message = f"lips: {lips.contacts} contacts up to {lips.before:.2f} mm deep, {lips.after:.2f} mm left"
         if lips.way < 1:
             message += f"; held where they could last be parted, after {100 * lips.way:.0f} % of their way"
-        skin = self._skin(moved)
         info = SolveInfo(solution.status, max(len(energy) - 1, 1), energy, message)
-        return ForwardState(moved, skin, gradients, bones, info, lips)
+        return ForwardState(moved, done.skin, gradients, bones, info, lips)

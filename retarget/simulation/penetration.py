@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from retarget.types import FloatArray, IntArray
 
 REACH = 10.0  # mm: points further away are not looked at
-SLOT = 1.0  # mm: triangles are looked up by their left end
+SLOT = 1.0  # mm: triangles are looked up by their left end, rays by squares of this side
+MOST = 256  # squares in a row
 TINY = 1e-300  # instead of 0 as a divisor
 SKIN = 0.02  # mm: what is less deep inside of the skin is on it
 
@@ -39,6 +40,8 @@ def inside(vertices: FloatArray, faces: IntArray, points: IntArray) -> NDArray[n
     of a skin that crosses itself. The skin may be open where no such ray passes, as at the neck and behind.
     """
     x = np.ascontiguousarray(vertices, dtype=np.float64)
+    if not len(points) or not np.isfinite(x).all():
+        return np.zeros(len(points), dtype=bool)
     return _leaves(x, np.ascontiguousarray(faces, dtype=np.int64), points) > 0
 
 
@@ -46,47 +49,64 @@ def inside(vertices: FloatArray, faces: IntArray, points: IntArray) -> NDArray[n
 def _leaves(x, faces, points):  # type: ignore[no-untyped-def]
     """How often the ray along +z from SKIN off each point leaves the surface, less how often it enters it."""
     at = np.full(len(x), -1)
-    normals = np.zeros((len(points), 3))
+    starts = np.zeros((len(points), 3))  # normals at first
     at[points] = np.arange(len(points))
+    e, length = np.empty((3, 3)), np.empty(3)
     for f in range(len(faces)):
-        a, b, c = faces[f]
-        if at[a] < 0 and at[b] < 0 and at[c] < 0:
+        if at[faces[f, 0]] < 0 and at[faces[f, 1]] < 0 and at[faces[f, 2]] < 0:
             continue
+        for corner in range(3):  # the edge from each corner to the next one
+            for i in range(3):
+                e[corner, i] = x[faces[f, (corner + 1) % 3], i] - x[faces[f, corner], i]
+            length[corner] = np.sqrt(e[corner, 0] ** 2 + e[corner, 1] ** 2 + e[corner, 2] ** 2)
+        n0 = e[0, 1] * e[1, 2] - e[0, 2] * e[1, 1]
+        n1 = e[0, 2] * e[1, 0] - e[0, 0] * e[1, 2]
+        n2 = e[0, 0] * e[1, 1] - e[0, 1] * e[1, 0]
+        area = max(np.sqrt(n0 * n0 + n1 * n1 + n2 * n2), TINY)
         for corner in range(3):
-            o, p, q = faces[f, corner], faces[f, (corner + 1) % 3], faces[f, (corner + 2) % 3]
-            if at[o] < 0:
+            k, last = at[faces[f, corner]], (corner + 2) % 3
+            if k < 0:
                 continue
-            u, v = x[p] - x[o], x[q] - x[o]
-            cosine = np.dot(u, v) / max(np.sqrt(np.dot(u, u) * np.dot(v, v)), TINY)
-            normal = np.cross(u, v)  # weighted by the angle: a point off a vertex is outside (Baerentzen, Aanaes 2005)
-            normals[at[o]] += (
-                np.arccos(min(max(cosine, -1.0), 1.0)) * normal / max(np.sqrt(np.dot(normal, normal)), TINY)
-            )
-    starts = np.empty((len(points), 3))
+            cosine = -(e[corner, 0] * e[last, 0] + e[corner, 1] * e[last, 1] + e[corner, 2] * e[last, 2])
+            cosine /= max(length[corner] * length[last], TINY)
+            # Weighted by the angle: a point off a vertex is outside (Baerentzen, Aanaes 2005).
+            weight = np.arccos(min(max(cosine, -1.0), 1.0)) / area
+            starts[k, 0] += weight * n0
+            starts[k, 1] += weight * n1
+            starts[k, 2] += weight * n2
     for k in range(len(points)):
-        starts[k] = x[points[k]] + SKIN * normals[k] / max(np.sqrt(np.dot(normals[k], normals[k])), TINY)
-    order = np.argsort(starts[:, 0], kind="mergesort")
-    sorted_x = starts[order, 0]
-    bottom, top, back = starts[:, 1].min(), starts[:, 1].max(), starts[:, 2].min()
+        scale = SKIN / max(np.sqrt(starts[k, 0] ** 2 + starts[k, 1] ** 2 + starts[k, 2] ** 2), TINY)
+        for i in range(3):
+            starts[k, i] = x[points[k], i] + scale * starts[k, i]
+    left, right, bottom, top = starts[:, 0].min(), starts[:, 0].max(), starts[:, 1].min(), starts[:, 1].max()
+    back = starts[:, 2].min()
+    cell = max((right - left) / MOST, (top - bottom) / MOST, SLOT)
+    wide, across = int((right - left) / cell) + 1, int((top - bottom) / cell) + 1
+    column = np.empty(len(points), np.int64)
+    for k in range(len(points)):
+        column[k] = int((starts[k, 0] - left) / cell) * across + int((starts[k, 1] - bottom) / cell)
+    order = np.argsort(column, kind="mergesort")
+    first = np.searchsorted(column[order], np.arange(wide * across + 1))
     leaves = np.zeros(len(points), np.int64)
     for f in range(len(faces)):
-        a, b, c = faces[f]
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         high_y, low_y = max(x[a, 1], x[b, 1], x[c, 1]), min(x[a, 1], x[b, 1], x[c, 1])
+        high_x, low_x = max(x[a, 0], x[b, 0], x[c, 0]), min(x[a, 0], x[b, 0], x[c, 0])
         front = max(x[a, 2], x[b, 2], x[c, 2])
-        if high_y < bottom or low_y > top or front < back:
+        if high_y < bottom or low_y > top or high_x < left or low_x > right or front < back:
             continue
-        first = np.searchsorted(sorted_x, min(x[a, 0], x[b, 0], x[c, 0]))
-        for k in order[first : np.searchsorted(sorted_x, max(x[a, 0], x[b, 0], x[c, 0]), side="right")]:
-            px, py, pz = starts[k]
-            if py < low_y or py > high_y or pz > front:
-                continue
-            turns = _turn(x, a, b, px, py) + _turn(x, b, c, px, py) + _turn(x, c, a, px, py)
-            if turns == 0:
-                continue
-            normal = np.cross(x[b] - x[a], x[c] - x[a])
-            ahead = normal[0] * (x[a, 0] - px) + normal[1] * (x[a, 1] - py) + normal[2] * (x[a, 2] - pz)
-            if turns * ahead > 0:
-                leaves[k] += turns
+        n0 = (x[b, 1] - x[a, 1]) * (x[c, 2] - x[a, 2]) - (x[b, 2] - x[a, 2]) * (x[c, 1] - x[a, 1])
+        n1 = (x[b, 2] - x[a, 2]) * (x[c, 0] - x[a, 0]) - (x[b, 0] - x[a, 0]) * (x[c, 2] - x[a, 2])
+        n2 = (x[b, 0] - x[a, 0]) * (x[c, 1] - x[a, 1]) - (x[b, 1] - x[a, 1]) * (x[c, 0] - x[a, 0])
+        lowest, highest = max(int((low_y - bottom) / cell), 0), min(int((high_y - bottom) / cell), across - 1)
+        for i in range(max(int((low_x - left) / cell), 0), min(int((high_x - left) / cell), wide - 1) + 1):
+            for k in order[first[i * across + lowest] : first[i * across + highest + 1]]:
+                px, py, pz = starts[k, 0], starts[k, 1], starts[k, 2]
+                if py < low_y or py > high_y or px < low_x or px > high_x or pz > front:
+                    continue
+                turns = _turn(x, a, b, px, py) + _turn(x, b, c, px, py) + _turn(x, c, a, px, py)
+                if turns != 0 and turns * (n0 * (x[a, 0] - px) + n1 * (x[a, 1] - py) + n2 * (x[a, 2] - pz)) > 0:
+                    leaves[k] += turns
     return leaves
 
 
