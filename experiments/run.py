@@ -38,7 +38,8 @@ def run(config: DictConfig, folder: Path, console: Console) -> None:
 
 
 def _compare(config: DictConfig, folder: Path, console: Console) -> None:
-    study = Study.from_config(_study(config))
+    described = _study(config)
+    study = Study.from_config(described | {"reference": _reference(described["reference"], config)})
     tables, summary = _finished(study, config, folder, console)
     print_summary(summary, console, metric=study.primary_metric, region=study.primary_region)
     print_solves(tables[1], console)
@@ -46,6 +47,14 @@ def _compare(config: DictConfig, folder: Path, console: Console) -> None:
         print_path(folder / name, console)
     if config.report:
         print_path(build_report([folder], None, lambda line: console.print(f"  {line}")), console)
+
+
+def _reference(wanted: str | list[str], config: DictConfig) -> str:
+    """`study.reference`: a row, or a list of methods of which the first that was chosen is taken, or else any."""
+    if isinstance(wanted, str):
+        return wanted
+    chosen = [name for name, _ in _chosen(config, "method")]
+    return next((name for name in wanted if name in chosen), chosen[0])
 
 
 def _tune(config: DictConfig, folder: Path, console: Console) -> None:
