@@ -62,18 +62,22 @@ class CondensedSystem:
 
     def shifts(self, forces: FloatArray) -> FloatArray:
         """K f (m, 3): what forces f (m, 3) move the points by."""
-        moved = np.zeros((len(self.compliance), 3))
-        _shift(self.compliance, forces, np.flatnonzero(forces.any(axis=1)), moved)
-        return moved
+        return moves(self.compliance, forces)
 
     def pulled(self, forces: FloatArray) -> FloatArray:
         """A^-1 C^T f (n, 3): what forces f (m, 3) at the points move the vertices by."""
         return self.factor.solve(self.points.T @ forces)
 
 
+def moves(compliance: FloatArray, forces: FloatArray) -> FloatArray:
+    """K f (m, 3) for forces f (m, 3) on a few points: only their rows of the symmetric K (m, m) are read."""
+    moved = np.zeros((len(compliance), 3))
+    _move(compliance, forces, np.flatnonzero(forces.any(axis=1)), moved)
+    return moved
+
+
 @njit(cache=True)
-def _shift(compliance, forces, pulled, moved):  # type: ignore[no-untyped-def]
-    """Only the rows of pulled points are read; the matrix is symmetric."""
+def _move(compliance, forces, pulled, moved):  # type: ignore[no-untyped-def]
     for k in pulled:
         a, b, c = forces[k, 0], forces[k, 1], forces[k, 2]
         for i in range(len(moved)):

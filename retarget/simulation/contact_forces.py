@@ -16,6 +16,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from retarget.simulation.condensed import moves
 from retarget.simulation.facing import Gaps, Samples
 from retarget.types import FloatArray
 
@@ -117,7 +118,7 @@ class Parting:
         """Contacts are found and solved for in turns; all that were found count until the end."""
         forces, touching, known, worst = start.forces, start.touching, start.touching.copy(), np.inf
         for turn in range(rounds + 1):
-            points = free + self._compliance @ forces
+            points = free + moves(self._compliance, forces)
             found = self._detect(points)
             deeper = self._floor - found.gap
             before, worst = worst, float(deeper.max(initial=0.0))

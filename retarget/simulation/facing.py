@@ -208,26 +208,30 @@ def _gaps(x, normals, own, mean, faces, beyond, rim, near, reach, gap, corners, 
                 away -= weights[k, j] * x[corners[k, j], i]
                 smooth += weights[k, j] * normals[corners[k, j], i]
             direction[k, i] = side * away / distance if distance > CLOSE else smooth
-        direction[k] /= max(np.sqrt((direction[k] * direction[k]).sum()), TINY)
+        length = max(np.sqrt(direction[k, 0] ** 2 + direction[k, 1] ** 2 + direction[k, 2] ** 2), TINY)
+        for i in range(3):
+            direction[k, i] /= length
 
 
 @njit(cache=True)
 def _side(p, x, normals, flat, faces, beyond, rim, f, s, t):  # type: ignore[no-untyped-def]
     """1 outside and -1 inside, seen from the nearest point on triangle f; 0 if that lies on the rim."""
-    weights = np.array([1 - s - t, s, t])
-    away, on_rim, zeros, zero, last = p.copy(), True, 0, 0, 0
+    on_rim, zeros, zero, last = True, 0, 0, 0
     for i in range(3):
-        away -= weights[i] * x[faces[f, i]]
-        if weights[i] < ON_EDGE:
+        if (1 - s - t if i == 0 else s if i == 1 else t) < ON_EDGE:
             zeros, zero = zeros + 1, i
         else:
             last = i
             on_rim = on_rim and rim[faces[f, i]]
     if on_rim:
         return 0
-    normal = flat[f].copy()
-    if zeros == 1 and beyond[f, zero] >= 0:
-        normal += flat[beyond[f, zero]]
-    elif zeros == 2:
-        normal = normals[faces[f, last]]
-    return -1 if (away * normal).sum() < 0 else 1
+    across, along = beyond[f, zero], 0.0
+    for i in range(3):
+        away = p[i] - (1 - s - t) * x[faces[f, 0], i] - s * x[faces[f, 1], i] - t * x[faces[f, 2], i]
+        if zeros == 2:
+            along += away * normals[faces[f, last], i]
+        elif zeros == 1 and across >= 0:
+            along += away * (flat[f, i] + flat[across, i])
+        else:
+            along += away * flat[f, i]
+    return -1 if along < 0 else 1
