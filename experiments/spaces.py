@@ -40,12 +40,6 @@ class Range:
         exact = self.low + share * (self.high - self.low) if linear else self.low * (self.high / self.low) ** share
         return min(max(float(f"{exact:.1e}"), self.low), self.high)
 
-    def distance(self, a: float, b: float) -> float:
-        """As a share of the range."""
-        if self.scale is Scale.LINEAR:
-            return abs(a - b) / (self.high - self.low)
-        return abs(math.log(a / b)) / math.log(self.high / self.low)
-
     def __contains__(self, value: object) -> bool:
         return isinstance(value, float) and self.low <= value <= self.high
 
@@ -62,10 +56,6 @@ class Choices:
     def at(self, share: float) -> Any:
         """The value at a share in [0, 1] of the list."""
         return self.values[min(int(share * len(self.values)), len(self.values) - 1)]
-
-    def distance(self, a: Any, b: Any) -> float:
-        """0 for the same value, 1 for another."""
-        return float(a != b)
 
     def __contains__(self, value: object) -> bool:
         return value in self.values
@@ -126,10 +116,6 @@ class Space:
                 "got fewer. Widen its ranges, or lower study.trials for all methods."
             )
         return trials
-
-    def distance(self, values: Mapping[str, Any]) -> float:
-        """From the present configuration, each setting as a share of its range."""
-        return math.hypot(*(one.domain.distance(values[name], one.present) for name, one in self.searched.items()))
 
     @property
     def range_alone(self) -> str | None:

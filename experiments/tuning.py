@@ -27,7 +27,7 @@ class Tuning:
     study: Study
     spaces: Mapping[str, Space]
     trials: Mapping[str, tuple[Trial, ...]]
-    within: float  # relative: errors this close to the smallest count as the same
+    within: float  # relative: of one setting, errors this close to the smallest count as the same
 
     @staticmethod
     def from_config(config: Mapping[str, Any], methods: Mapping[str, Mapping[str, Any]]) -> Tuning:
@@ -106,18 +106,18 @@ def trial_table(tuning: Tuning, metrics: pd.DataFrame, cells: pd.DataFrame) -> p
 def choice(space: Space, trials: tuple[Trial, ...], errors: pd.Series[float], within: float) -> int | None:
     """The number of the trial to take; None where none has an error.
 
-    Candidates are the trials whose error is within a share `within` of the smallest. Where one setting was searched
-    over a range it is the largest of them: of regularisers that can hardly be told apart, the one most robust to noise.
-    Otherwise it is the one nearest to the present configuration, so that settings change only for a gain.
+    Where one setting was searched over a range it is the largest value whose error is within a share `within` of the
+    smallest: of regularisers that can hardly be told apart, the one most robust to noise. Otherwise it is the trial
+    with the smallest error.
     """
     error = errors.to_numpy(dtype=np.float64)
     if np.isnan(error).all():
         return None
-    candidates = np.flatnonzero(error <= (1 + within) * np.nanmin(error)).tolist()
     alone = space.range_alone
-    if alone is not None:
-        return max(candidates, key=lambda number: trials[number].values[alone])
-    return min(candidates, key=lambda number: (space.distance(trials[number].values), error[number]))
+    if alone is None:
+        return int(np.nanargmin(error))
+    candidates = np.flatnonzero(error <= (1 + within) * np.nanmin(error)).tolist()
+    return max(candidates, key=lambda number: trials[number].values[alone])
 
 
 def chosen_yaml(tuning: Tuning, trials: pd.DataFrame) -> str:

@@ -60,12 +60,6 @@ def test_settings_may_follow_another_in_all_trials_but_the_present() -> None:
     assert all(list(trial.values) == ["weight"] for trial in trials)
 
 
-def test_distances_are_shares_of_the_range() -> None:
-    assert Range(0.1, 1000.0, Scale.LOG).distance(1.0, 100.0) == pytest.approx(0.5)
-    assert Range(0.0, 4.0, Scale.LINEAR).distance(1.0, 2.0) == pytest.approx(0.25)
-    assert space(WIDE).distance({"weight": 1000.0, "other": 3.0, "kind": "hard"}) == pytest.approx(np.hypot(0.5, 1))
-
-
 def test_numbers_have_two_digits_and_stay_within_the_range() -> None:
     assert Range(1e-8, 1.0, Scale.LOG).at(4 / 12) == 4.6e-6
     assert Range(1.04, 9.96, Scale.LINEAR).at(0.0) == 1.04
