@@ -23,8 +23,10 @@ from retarget.types import FloatArray
 TOLERANCE = 0.03  # mm: a sample that is less too deep is no new contact
 PARTED = 0.05  # mm: surfaces are apart if no sample is more too deep
 PASSABLE = 0.1  # mm: the same, on the way
+OPEN = 0.6  # mm: a sample without a force that is further outside is left out of a round
 STRIDE = 1.5  # mm: how far points move at most, relative to their mean, before contacts are looked for again
 SHORTEST = 0.1  # of the longest step: the last one before the way ends
+LONGEST = 40  # rounds on the way
 LOOSE = 1e-4  # of a point's mean compliance, where points are held
 
 Detect = Callable[[FloatArray], Gaps]
@@ -93,14 +95,15 @@ class Parting:
         """The same on the straight way from rest, where they do not cross, so that each contact is found when it is
         shallow and on the side that it came from.
 
-        The way ends where its steps become shorter than SHORTEST without parting the surfaces. First comes the state
-        at its end, then those before it, back to rest: states with a `way` below 1 hold all points where they were.
+        The way ends where its steps become shorter than SHORTEST without parting the surfaces, and after LONGEST
+        rounds. First comes the state at its end, then those 1, 2, 4... steps before it, and rest: states with a `way`
+        below 1 hold all points where they were.
         """
         now = Apart(np.zeros_like(free), np.zeros(self._samples.count, dtype=bool), 0.0, 0, way=0.0)
         moves = free - self._rest
         longest = min(0.25, STRIDE / max(float(np.linalg.norm(moves - moves.mean(axis=0), axis=1).max()), STRIDE))
         step, shortest, spent, trail = longest, SHORTEST * longest, 0, [now]
-        while now.way < 1.0 and step >= shortest:
+        while now.way < 1.0 and step >= shortest and spent < LONGEST:
             end = min(1.0, now.way + step)
             goal = PARTED if end == 1.0 else PASSABLE
             tried = self._keep(self._rest + end * (free - self._rest), now, rounds if end == 1.0 else each, goal)
@@ -110,7 +113,8 @@ class Parting:
                 continue
             now, step = replace(tried, way=end), min(1.5 * step, longest)
             trail.append(now)
-        for state in reversed(trail):
+        back = [1 << n for n in range(len(trail).bit_length()) if 1 << n < len(trail)]
+        for state in [now, *(trail[-1 - steps] for steps in back), trail[0]]:
             held = state.forces + self._held(free, state.way) if state.way < 1.0 else state.forces
             yield replace(state, forces=held, rounds=spent)
 
@@ -127,9 +131,12 @@ class Parting:
             if turn == rounds or hopeless or (not new.any() and (turn > 0 or not touching.any())):
                 break
             known |= new
-            use = np.flatnonzero(known & np.isfinite(found.gap))
+            use = np.flatnonzero(known & np.isfinite(found.gap) & (touching | (deeper > -OPEN)))
             rows, normal = self._rows(found, use), found.normal[use]
-            matrix = ((rows @ self._compliance) @ rows.T) * (normal @ normal.T)
+            pulled = np.unique(rows.indices)
+            some = rows[:, pulled]
+            half = some @ self._compliance[np.ix_(pulled, pulled)]
+            matrix = (some @ np.ascontiguousarray(half.T)) * (normal @ normal.T)
             matrix[np.diag_indices_from(matrix)] += self._give * np.diag(self._compliance).mean()
             wanted = deeper[use] - np.einsum("ki,ki->k", normal, rows @ (free - points))
             pushed = complementary(matrix, wanted, touching[use])
