@@ -134,11 +134,12 @@ class Space:
         if count < 1:
             return []
         sobol = qmc.Sobol(len(self.searched), scramble=True, seed=seed)
-        points = sobol.random_base2(math.ceil(math.log2(count)))[:count]
-        return [
+        points = [
             {name: one.domain.at(share) for (name, one), share in zip(self.searched.items(), point, strict=True)}
-            for point in points
+            for point in sobol.random_base2(math.ceil(math.log2(count + 1)))  # one more: the present may be among them
         ]
+        present = self._present.values
+        return [point for point in points if point != present][:count]
 
     @property
     def _present(self) -> Trial:

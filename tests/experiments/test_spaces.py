@@ -18,6 +18,8 @@ WIDE = {"weight": {"log": [0.1, 1000.0]}, "other": {"linear": [0.0, 4.0]}, "kind
 def space(config: Mapping[str, Any], **present: Any) -> Space:
     return Space.from_config("plbs", config, PRESENT | present)
 
+PRESENT_ADT = {"w_target": 10.0, "w_soft": 1.0}
+
 
 def test_an_even_grid_that_holds_the_present_value_keeps_it_and_puts_it_first() -> None:
     values = [trial.values["weight"] for trial in space({"weight": {"log": [0.1, 1000.0]}}).trials(5, seed=0)]
@@ -58,6 +60,16 @@ def test_settings_may_follow_another_in_all_trials_but_the_present() -> None:
     assert trials[0].settings == {"weight": 10.0, "other": 3.0}
     assert all(trial.settings["other"] == trial.settings["weight"] for trial in trials[1:])
     assert all(list(trial.values) == ["weight"] for trial in trials)
+
+
+def test_a_present_configuration_among_the_points_is_not_tried_twice() -> None:
+    """As it is after a study was followed: the next one has as many different trials."""
+    first = Space.from_config("adt", {n: {"log": [0.1, 1000.0]} for n in ("w_target", "w_soft")}, PRESENT_ADT)
+    taken = first.trials(13, seed=0)[5].values
+    again = Space.from_config("adt", {n: {"log": [0.1, 1000.0]} for n in taken}, PRESENT_ADT | dict(taken))
+    trials = [trial.values for trial in again.trials(13, seed=0)]
+    assert trials[0] == taken
+    assert taken not in trials[1:]
 
 
 def test_numbers_have_two_digits_and_stay_within_the_range() -> None:
