@@ -52,7 +52,7 @@ class InverseSettings:
     surface: Literal["soft", "hard"] = "soft"  # hard: see `surface.carried_by_skin`
     jaw: Jaw | str = Jaw.FREE
     history: int = 6  # expressions that `stream` predicts the next one from
-    solver: SolverSettings = field(default_factory=lambda: SolverSettings(energy_tolerance=1e-3))
+    solver: SolverSettings = field(default_factory=lambda: SolverSettings(energy_tolerance=1e-3, bounded_end=True))
 
     def __post_init__(self) -> None:
         choose("surface", self.surface, ("soft", "hard"))

@@ -84,6 +84,21 @@ def _gradients(x, tets, inverse, gradients):  # type: ignore[no-untyped-def]
                 gradients[t, j, k] = a * inverse[t, 0, k] + b * inverse[t, 1, k] + c * inverse[t, 2, k]
 
 
+@njit(cache=True)
+def count_inverted(x, tets):  # type: ignore[no-untyped-def]
+    """How many tets (t, 4) of vertices x (n, 3) have no positive volume."""
+    count = 0
+    for t in range(len(tets)):
+        o, a, b, c = tets[t, 0], tets[t, 1], tets[t, 2], tets[t, 3]
+        u0, u1, u2 = x[a, 0] - x[o, 0], x[a, 1] - x[o, 1], x[a, 2] - x[o, 2]
+        v0, v1, v2 = x[b, 0] - x[o, 0], x[b, 1] - x[o, 1], x[b, 2] - x[o, 2]
+        w0, w1, w2 = x[c, 0] - x[o, 0], x[c, 1] - x[o, 1], x[c, 2] - x[o, 2]
+        volume = u0 * (v1 * w2 - v2 * w1) + u1 * (v2 * w0 - v0 * w2) + u2 * (v0 * w1 - v1 * w0)
+        if not volume > 0:
+            count += 1
+    return count
+
+
 def hat_gradients(shape: RestShape) -> FloatArray:
     """(t, 4, 3) in 1/mm: the gradient of each corner's hat function, so that F = sum_c x_c hat_c^T."""
     return np.concatenate([-shape.inverse.sum(axis=1, keepdims=True), shape.inverse], axis=1)
