@@ -8,9 +8,10 @@ from scipy.optimize import nnls
 from retarget.check import InvalidInput
 from retarget.simulation.bones import pivot
 from retarget.simulation.collisions import TRIGGER, Lips
-from retarget.simulation.contact_forces import Parting, complementary
+from retarget.simulation.contact_forces import LONGEST, Parting, complementary
+from retarget.simulation.facing import FACING, FacingSurface, Samples, vertex_normals
 from retarget.simulation.forward import ForwardSettings, ForwardSimulation
-from retarget.simulation.penetration import REACH, Surface, inside
+from retarget.simulation.penetration import REACH, Surface, inside, nearest_on_triangle
 from retarget.simulation.state import Bones, RigidMotion
 from retarget.types import Regions, Status
 from tests.retarget.simulation.box_head import GAP, box_head
@@ -70,6 +71,39 @@ def test_only_what_is_inside_counts(height, met):
     assert lips.meet(skin) == met
     gap = lips.gaps(skin).gap
     np.testing.assert_allclose(gap[np.isfinite(gap)], -height, atol=1e-9)
+
+
+def test_gaps_of_many_triangles():
+    """Two wavy sheets, some triangles long: the nearest point on triangles that face a sample, one by one."""
+    vertices, faces = sheet()
+    rng = np.random.default_rng(2)
+    vertices += np.where(rng.random((len(vertices), 1)) < 0.02, 1.5, 0.1) * rng.normal(size=vertices.shape)
+    both = np.vstack([vertices, vertices * [1, 0.5, 1] + [0.3, 0.1, 0.2]])
+    upper = faces[:, ::-1] + len(vertices)
+    samples = Samples.of(np.arange(len(vertices), len(both), 13), upper[::29])
+    normals = vertex_normals(both, np.vstack([faces, upper]))
+    found = FacingSurface(faces, len(both)).gaps(both, normals, samples, near=2.0, reach=2.0)
+    points, up = (np.einsum("sc,sci->si", samples.weights, a[samples.corners]) for a in (both, normals))
+    flat = np.cross(both[faces[:, 1]] - both[faces[:, 0]], both[faces[:, 2]] - both[faces[:, 0]])
+    flat /= np.linalg.norm(flat, axis=1, keepdims=True)
+    seen = np.isfinite(found.gap)
+    for k, (point, normal) in enumerate(zip(points, up, strict=True)):
+        facing = faces[flat @ normal <= FACING * np.linalg.norm(normal)]
+        nearest = min(nearest_on_triangle(point, *both[face])[0] for face in facing) ** 0.5
+        if seen[k]:
+            assert abs(found.gap[k]) == pytest.approx(nearest, abs=1e-9)
+            place = found.weights[k] @ both[found.corners[k]]
+            assert np.linalg.norm(point - place) == pytest.approx(nearest, abs=1e-9)
+    assert (found.gap[seen] < 0).sum() > 50 < (found.gap[seen] > 0).sum()
+    assert seen.sum() > 0.7 * len(seen)
+
+
+def test_points_far_away_and_not_finite_have_no_gaps():
+    lips, (skin, *_) = Lips(*strip(-1.0)), strip(0.2)
+    scattered = 1e9 * np.random.default_rng(0).normal(size=skin.shape)
+    assert not np.isfinite(lips.gaps(scattered).gap).any()
+    assert not lips.meet(np.where(np.arange(88)[:, None] == 7, np.nan, skin))
+    assert lips.depth(np.where(np.arange(88)[:, None] == 7, np.nan, skin)) == 0.0
 
 
 def test_a_surface_that_faces_the_same_way_is_no_contact():
@@ -139,6 +173,24 @@ def test_a_lip_wholly_through_the_other_one_is_parted_on_its_way():
     inner = [4 * i + j for i in range(1, 10) for j in (1, 2)]
     np.testing.assert_allclose(points[inner, 1].mean(), 2.5, atol=0.5)
     assert points[44:, 1].mean() > points[:44, 1].mean() - 0.05
+
+
+def test_the_way_has_an_end():
+    """Lips that swap ever deeper and cannot be parted, as forces hardly move them: rounds are bounded, states are few,
+    and the last one holds all points at rest."""
+    rest, faces, regions = strip(-1.0)
+    lips = Lips(rest, faces, regions)
+    stiff = 1e-9 * np.eye(88) + 1e-3 * np.outer(np.arange(88) < 44, np.arange(88) < 44)
+    stiff[44:, 44:] = stiff[:44, :44]  # each lip moves as a whole
+    both = Parting(lips.gaps, lips.samples, lips.floor, rest, stiff, 1.0)
+    free = rest + np.where(np.arange(88) < 44, 40.0, 0.0)[:, None] * [0, 1, 0]
+    states = list(both.along(free, 12))
+    assert states[0].rounds <= LONGEST + 12
+    assert states[-1].way == 0.0
+    ways = [state.way for state in states]
+    assert ways == sorted(ways, reverse=True)
+    assert len(states) < 10
+    np.testing.assert_allclose((free + stiff @ states[-1].forces)[:44, 1], rest[:44, 1], atol=0.01)
 
 
 def test_complementary_forces():

@@ -70,6 +70,30 @@ def test_the_energy_never_rises_and_the_history_is_whole(slab, depth):
     assert problem.energy_and_descent(result.vertices, bulge(skin, 8.0))[0] == energy[-1]
 
 
+@pytest.mark.parametrize("pushed", [False, True])
+def test_a_last_step_that_is_not_evaluated_is_bounded(slab, pushed):
+    """Its energy lies below what is reported, by as much again at most; the rest of the history is the same."""
+    shape, *_, skin = slab
+    forces = 1e-4 * np.sin(shape.vertices) if pushed else None
+    whole = SolverSettings(energy_tolerance=1e-3, single_precision=False, anderson_depth=0)
+    results = []
+    for settings in (whole, dataclasses.replace(whole, bounded_end=True)):
+        problem = solver(slab, settings)
+        calls, evaluate = [], problem._evaluate
+        problem._evaluate = lambda *a, calls=calls, evaluate=evaluate: calls.append(0) or evaluate(*a)
+        results.append((problem.solve(bulge(skin, 8.0), forces=forces), len(calls)))
+    (plain, _), (found, evaluations) = results
+    assert found.info.status is Status.CONVERGED
+    assert evaluations == found.info.iterations < len(found.info.energy)
+    common = found.info.iterations
+    np.testing.assert_allclose(found.info.energy[:common], plain.info.energy[:common])
+    *_, before, reported = found.info.energy
+    true = solver(slab, whole).energy_and_descent(found.vertices, bulge(skin, 8.0), forces)[0]
+    assert 2 * reported - before - 1e-9 * abs(before) <= true <= reported < before
+    assert before - true <= whole.energy_tolerance * before + 1e-9
+    assert found.rms_steps[-1] <= whole.step_tolerance
+
+
 def test_acceleration_finds_the_same_minimum_in_fewer_iterations(slab):
     *_, skin = slab
     results = [solver(slab, dataclasses.replace(EXACT, anderson_depth=d)).solve(bulge(skin)) for d in (0, 5)]

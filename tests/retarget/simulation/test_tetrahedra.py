@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from retarget.check import InvalidInput
-from retarget.simulation.tetrahedra import deformation_gradients, gradient_operator, rest_shape
+from retarget.simulation.tetrahedra import count_inverted, deformation_gradients, gradient_operator, rest_shape
 from tests.retarget.simulation.box import box
 
 
@@ -22,6 +22,14 @@ def test_the_gradient_of_an_affine_map_is_its_matrix(shape):
     matrix = np.random.default_rng(0).normal(size=(3, 3))
     moved = shape.vertices @ matrix.T + [1, 2, 3]
     np.testing.assert_allclose(deformation_gradients(shape, moved), np.broadcast_to(matrix, (144, 3, 3)), atol=1e-12)
+
+
+def test_inverted_and_flat_tets_are_counted(shape):
+    moved = shape.vertices + 8 * np.random.default_rng(1).normal(size=shape.vertices.shape)
+    inverted = int((np.linalg.det(deformation_gradients(shape, moved)) <= 0).sum())
+    assert 10 < inverted == count_inverted(moved, shape.tets)
+    assert count_inverted(shape.vertices, shape.tets) == 0
+    assert count_inverted(0 * shape.vertices, shape.tets) == len(shape.tets)
 
 
 def test_the_operator_gives_the_transposed_gradients(shape):
