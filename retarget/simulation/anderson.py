@@ -8,6 +8,7 @@ from numba import njit, prange
 from retarget.simulation.chunks import CHUNKS
 from retarget.types import FloatArray
 
+SMALL = 20_000  # numbers: below, waking threads takes longer than the work
 FUSE = {"contract", "reassoc", "nsz"}  # NaN and infinity keep their meaning
 
 
@@ -42,7 +43,8 @@ class Anderson:
         kept = min(self._count, self.depth)
         dots = np.zeros((CHUNKS, 2, kept))
         new, plain, *old = (np.ascontiguousarray(a).reshape(-1) for a in (state, residual, *last))
-        _remember(new, plain, old[0], old[1], self._steps, self._changes, slot, dots)
+        remember, combine = (_remember, _combine) if residual.size > SMALL else (_remember_alone, _combine_alone)
+        remember(new, plain, old[0], old[1], self._steps, self._changes, slot, dots)
         against_newest, right = dots.sum(axis=0)
         self._products[slot, :kept] = self._products[:kept, slot] = against_newest
         products = self._products[:kept, :kept]
@@ -51,34 +53,54 @@ class Anderson:
         except np.linalg.LinAlgError:
             return residual
         step = np.empty(residual.size)
-        _combine(plain, weights, self._steps, step)
+        combine(plain, weights, self._steps, step)
         return step.reshape(residual.shape)
 
 
-@njit(cache=True, parallel=True, fastmath=FUSE)
+@njit(cache=True, parallel=True)
 def _remember(state, residual, last_state, last_residual, steps, changes, slot, dots):  # type: ignore[no-untyped-def]
-    size = len(state)
     for chunk in prange(CHUNKS):
-        begin, end = chunk * size // CHUNKS, (chunk + 1) * size // CHUNKS
+        _remember_chunk(chunk, state, residual, last_state, last_residual, steps, changes, slot, dots)
+
+
+@njit(cache=True)
+def _remember_alone(state, residual, last_state, last_residual, steps, changes, slot, dots):  # type: ignore[no-untyped-def]
+    for chunk in range(CHUNKS):
+        _remember_chunk(chunk, state, residual, last_state, last_residual, steps, changes, slot, dots)
+
+
+@njit(cache=True, fastmath=FUSE)
+def _remember_chunk(chunk, state, residual, last_state, last_residual, steps, changes, slot, dots):  # type: ignore[no-untyped-def]
+    begin, end = chunk * len(state) // CHUNKS, (chunk + 1) * len(state) // CHUNKS
+    for i in range(begin, end):
+        change = residual[i] - last_residual[i]
+        changes[slot, i] = change
+        steps[slot, i] = state[i] - last_state[i] + change
+    for j in range(dots.shape[2]):
+        product, right = 0.0, 0.0
         for i in range(begin, end):
-            change = residual[i] - last_residual[i]
-            changes[slot, i] = change
-            steps[slot, i] = state[i] - last_state[i] + change
-        for j in range(dots.shape[2]):
-            product, right = 0.0, 0.0
-            for i in range(begin, end):
-                product += changes[j, i] * changes[slot, i]
-                right += changes[j, i] * residual[i]
-            dots[chunk, 0, j], dots[chunk, 1, j] = product, right
+            product += changes[j, i] * changes[slot, i]
+            right += changes[j, i] * residual[i]
+        dots[chunk, 0, j], dots[chunk, 1, j] = product, right
 
 
 @njit(cache=True, parallel=True)
 def _combine(residual, weights, steps, step):  # type: ignore[no-untyped-def]
-    size = len(step)
     for chunk in prange(CHUNKS):
-        begin, end = chunk * size // CHUNKS, (chunk + 1) * size // CHUNKS
+        _combine_chunk(chunk, residual, weights, steps, step)
+
+
+@njit(cache=True)
+def _combine_alone(residual, weights, steps, step):  # type: ignore[no-untyped-def]
+    for chunk in range(CHUNKS):
+        _combine_chunk(chunk, residual, weights, steps, step)
+
+
+@njit(cache=True)
+def _combine_chunk(chunk, residual, weights, steps, step):  # type: ignore[no-untyped-def]
+    begin, end = chunk * len(step) // CHUNKS, (chunk + 1) * len(step) // CHUNKS
+    for i in range(begin, end):
+        step[i] = residual[i]
+    for j in range(len(weights)):
         for i in range(begin, end):
-            step[i] = residual[i]
-        for j in range(len(weights)):
-            for i in range(begin, end):
-                step[i] -= weights[j] * steps[j, i]
+            step[i] -= weights[j] * steps[j, i]

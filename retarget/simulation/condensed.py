@@ -138,6 +138,7 @@ class SoftSystem:
         from_fixed = fixed.operator @ system.compliance
         self._across = from_fixed @ areas.operator.T
         self._lower = _lower(_regular(from_fixed @ fixed.operator.T, fixed.weights))
+        self._back = _inverted(self._lower)  # applied twice for each solution, where a substitution wakes threads
         self._half = _substitute(self._lower, self._across)
         outer = _regular(areas.operator @ system.compliance @ areas.operator.T, areas.weights)
         self._inverse = np.linalg.inv(outer - self._half.T @ self._half)  # small, and applied in every iteration
@@ -156,6 +157,7 @@ class SoftSystem:
         risen = _substitute(_lower(_regular(-half @ lifted, np.ones(len(half)))), lifted.T)  # Woodbury
         new._across, new._half = np.vstack([self._across, across]), np.vstack([self._half, half])
         new._lower = np.block([[self._lower, np.zeros((len(self._lower), len(below)))], [left.T, below]])
+        new._back = _inverted(new._lower)
         new._rise = np.vstack([self._rise, risen])
         return new
 
@@ -223,7 +225,7 @@ class SoftSystem:
 
     def _hold(self, miss: FloatArray) -> FloatArray:
         """Multipliers of the fixed rows that miss their targets by (r, 3)."""
-        held: FloatArray = _substitute(self._lower, _substitute(self._lower, miss), transposed=True)
+        held: FloatArray = self._back.T @ (self._back @ miss)
         return held
 
     def _evaluate(
@@ -249,12 +251,17 @@ def _lower(matrix: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
 
 
-def _substitute(lower: FloatArray, rhs: FloatArray, transposed: bool = False) -> FloatArray:
-    """L^-1 rhs or L^-T rhs; neither need have rows."""
+def _substitute(lower: FloatArray, rhs: FloatArray) -> FloatArray:
+    """L^-1 rhs; neither need have rows."""
     if not rhs.size:
         return rhs
-    solution: FloatArray = solve_triangular(lower, rhs, lower=True, trans=int(transposed), check_finite=False)
+    solution: FloatArray = solve_triangular(lower, rhs, lower=True, check_finite=False)
     return solution
+
+
+def _inverted(lower: FloatArray) -> FloatArray:
+    """L^-1."""
+    return _substitute(lower, np.eye(len(lower)))
 
 
 def _status(energy: float, status: Status) -> Status:

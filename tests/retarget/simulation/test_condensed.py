@@ -68,7 +68,7 @@ def test_rows_added_later_are_rows_like_others():
         added.energy[:10], whole.energy[:10], rtol=1e-9
     )  # later, acceleration amplifies rounding
     assert added.energy[-1] == pytest.approx(whole.energy[-1], rel=1e-9)
-    np.testing.assert_allclose(added.forces, whole.forces, atol=1e-8)
+    np.testing.assert_allclose(added.forces, whole.forces, atol=1e-7)
     before = SoftSystem(case.condensed, case.fixed, case.areas)
     np.testing.assert_array_equal(case.soft._inverse, before._inverse)  # the first system stays as it was
     np.testing.assert_array_equal(case.soft.fixed.weights, before.fixed.weights)

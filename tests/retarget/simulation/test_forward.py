@@ -224,6 +224,19 @@ def test_the_energy_is_the_one_documented_never_rises_and_is_stationary(head):
     assert abs(nearby[1] - nearby[0]) < 1e-4 * (sum(nearby) - 2 * energy[-1])
 
 
+def test_the_energy_of_parted_lips_is_the_same_one(head):
+    """What contacts do against the tissue and the other terms counts; they themselves have none."""
+    forward, characteristics = ForwardSimulation(head), wanted(head)
+    lifted = Bones(still(head).cranium, RigidMotion(np.eye(3), np.array([0, 4.0, 0]), pivot(head)))
+    gradients = np.broadcast_to(np.eye(3), (len(head.template.tets), 3, 3))
+    state = forward(gradients, lifted, characteristics=characteristics)
+    assert state.lips.contacts > 3
+    energy = total_energy(forward, state.vertices, gradients, characteristics)
+    assert state.info.energy[-1] == pytest.approx(energy, rel=1e-9)
+    free = forward(gradients, lifted, characteristics=characteristics, collisions=False)
+    assert free.info.energy[-1] < energy
+
+
 def test_areas_and_contour_follow_their_targets(head):
     regions = head.template.regions
     gradients = np.broadcast_to(np.eye(3), (len(head.template.tets), 3, 3))
