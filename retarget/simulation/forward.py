@@ -239,7 +239,7 @@ class ForwardSimulation:
         if run.solution.forces.any():
             moved = free.copy()
             moved[self._free] += self._system.pulled(run.solution.forces)
-        return _Formed(run, moved, self.head.template.embedding @ moved + self.head.residual)
+        return _Formed(run, moved, self.head.template.embedding @ moved + self.head.residual + self._detail)
 
     def _resolve(
         self, lips: Lips, soft: SoftSystem, problem: SoftProblem, run: _Run, free: FloatArray
