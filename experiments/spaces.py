@@ -117,12 +117,6 @@ class Space:
             )
         return trials
 
-    @property
-    def range_alone(self) -> str | None:
-        """The setting that is searched, where it is a single one and has a range."""
-        [name, *more] = self.searched
-        return None if more or isinstance(self.searched[name].domain, Choices) else name
-
     def _grid(self, count: int) -> list[dict[str, Any]]:
         [(name, one)] = self.searched.items()
         grid = [one.domain.at(share) for share in np.linspace(0, 1, count)]

@@ -27,17 +27,14 @@ class Tuning:
     study: Study
     spaces: Mapping[str, Space]
     trials: Mapping[str, tuple[Trial, ...]]
-    within: float  # relative: of one setting, errors this close to the smallest count as the same
 
     @staticmethod
     def from_config(config: Mapping[str, Any], methods: Mapping[str, Mapping[str, Any]]) -> Tuning:
         """Of a study's settings and those of the chosen methods. Raises InvalidInput for what cannot be searched."""
         rest = dict(config)
-        count, within, described = (rest.pop(name) for name in ("trials", "within", "spaces"))
+        count, described = (rest.pop(name) for name in ("trials", "spaces"))
         if not isinstance(count, int) or isinstance(count, bool) or count < 1:
             raise InvalidInput(f"study.trials: expected a whole number of at least 1, got {count!r}.")
-        if not isinstance(within, int | float) or not 0 <= within < np.inf:
-            raise InvalidInput(f"study.within: expected a number of at least 0, got {within!r}.")
         if not isinstance(described, Mapping) or not described:
             raise InvalidInput(f"study.spaces: expected at least one method to tune, got {described!r}.")
         spaces = {}
@@ -52,7 +49,7 @@ class Tuning:
         }
         rest["variants"] = {**rest.get("variants", {}), **rows}
         rest["reference"] = rest["reference"] or next(iter(rows))
-        return Tuning(Study.from_config(rest), spaces, trials, within)
+        return Tuning(Study.from_config(rest), spaces, trials)
 
 
 def row_name(method: str, trial: int) -> str:
@@ -97,27 +94,16 @@ def trial_table(tuning: Tuning, metrics: pd.DataFrame, cells: pd.DataFrame) -> p
     found["seconds_per_expression"] = seconds.reindex(names).to_numpy()
     table = pd.concat([described[["method", "trial"]].astype({"trial": "Int64"}), found], axis=1)
     table["chosen"] = False
-    for method, space in tuning.spaces.items():
-        number = choice(space, tuning.trials[method], table.loc[table["method"] == method, "error"], tuning.within)
+    for method in tuning.spaces:
+        number = choice(table.loc[table["method"] == method, "error"])
         table.loc[(table["method"] == method) & (table["trial"] == number), "chosen"] = number is not None
     return pd.concat([table, described.drop(columns=["method", "trial"])], axis=1)
 
 
-def choice(space: Space, trials: tuple[Trial, ...], errors: pd.Series[float], within: float) -> int | None:
-    """The number of the trial to take; None where none has an error.
-
-    Where one setting was searched over a range it is the largest value whose error is within a share `within` of the
-    smallest: of regularisers that can hardly be told apart, the one most robust to noise. Otherwise it is the trial
-    with the smallest error.
-    """
+def choice(errors: pd.Series[float]) -> int | None:
+    """The number of the trial with the smallest error; None where none has one."""
     error = errors.to_numpy(dtype=np.float64)
-    if np.isnan(error).all():
-        return None
-    alone = space.range_alone
-    if alone is None:
-        return int(np.nanargmin(error))
-    candidates = np.flatnonzero(error <= (1 + within) * np.nanmin(error)).tolist()
-    return max(candidates, key=lambda number: trials[number].values[alone])
+    return None if np.isnan(error).all() else int(np.nanargmin(error))
 
 
 def chosen_yaml(tuning: Tuning, trials: pd.DataFrame) -> str:

@@ -21,7 +21,7 @@ import numpy as np
 
 from retarget.anatomical_transfer import AnatomicalTransfer, AnatomySettings, Carrier, joined, without_template
 from retarget.artistic import Edits
-from retarget.check import check_frames
+from retarget.check import check_frames, check_no_edits
 from retarget.direction import Direction
 from retarget.embedding import embed_examples
 from retarget.evidence import Evidence, EvidenceSettings
@@ -96,7 +96,9 @@ class AnaConDaR(AnatomySettings, Retargeter):
         patches = contiguous_patches(pair.faces, len(pair.source_neutral), self.patch_count, self.seed)
         adt = AnatomicalTransfer(pair, self, self.missing_collisions)
         dt = DeformationTransfer.of(pair, Weighting.UNIFORM) if self.missing == Missing.DT else None
-        return _Prepared(self, pair, patches, adt, dt, Evidence(pair, patches, self.evidence))
+        prepared = _Prepared(self, pair, patches, adt, dt, Evidence(pair, patches, self.evidence))
+        prepared.directed(None)  # factors are made now, not with the first frame
+        return prepared
 
 
 @dataclass(frozen=True)
@@ -121,10 +123,13 @@ class _Prepared:
         """Step 1: the source's counterparts (k, n, 3) mm of target examples (k, n, 3) mm, section 3.5."""
         pair = self.pair
         back = Pair(pair.faces, pair.target_neutral, pair.source_neutral, pair.regions)
-        return embed_examples(target_examples, animation, pair.source_neutral, AnatomicalTransfer(back, self.rules))
+        alone = replace(self.rules, streaming=False)  # examples are no animation
+        return embed_examples(target_examples, animation, pair.source_neutral, AnatomicalTransfer(back, alone))
 
     def directed(self, edits: Mapping[str, Any] | None) -> Direction:
         """anacon, fwdSim after invSim on the target's own head, eq. (19), under artistic edits, section 4.6."""
+        if not self.rules.anacon:
+            check_no_edits("AnaConDaR without anacon", edits)
         asked = Edits.of(edits, self.pair.regions, self.patches)
         target, rules = self.adt.target, self.rules
         anacon = Carrier(
@@ -146,7 +151,8 @@ class Retargeted:
     """What became of one expression, by the names of the paper; all (n, 3) mm."""
 
     expression: FloatArray  # S_i
-    rebuilt: FloatArray  # S_i^P, after anacon if `source_anacon`
+    rebuilt: FloatArray  # S_i^P
+    smoothed: FloatArray  # the same after anacon if `source_anacon`
     blended: FloatArray  # T_i^P
     missing: FloatArray  # T_i^M - T
     draft: FloatArray  # T_i^P + T_i^M - T
@@ -172,9 +178,9 @@ class _Fitted:
             return np.array([part(one) for one in done]).reshape(frames.shape)
 
         parts = {
-            "source_reconstruction": stacked(lambda one: one.rebuilt),
+            "source_reconstruction": stacked(lambda one: one.smoothed),
             "plbs": stacked(lambda one: one.blended),
-            "missing_source": stacked(lambda one: one.expression - one.rebuilt),
+            "missing_source": stacked(lambda one: one.expression - one.smoothed),
             "missing_target": stacked(lambda one: one.missing),
             "draft": stacked(lambda one: one.draft),
         }
@@ -211,7 +217,7 @@ class _Fitted:
         """T_i^P plus the missing blendshape, eqs (4) and (5)."""
         method, neutral = self.prepared, self.prepared.pair.target_neutral
         steps, to_carry = tee(self._smoothed(blended))
-        missing = (method.pair.source_neutral + one.expression - one.rebuilt for one in to_carry)  # eq. (4): S_i^M
+        missing = (method.pair.source_neutral + one.expression - one.smoothed for one in to_carry)  # eq. (4): S_i^M
         match method.rules.missing:
             case Missing.ADT:
                 held = method.rules.held != Held.NOTHING
@@ -233,12 +239,12 @@ class _Fitted:
         """Steps 2 and 3 as they are, or with anacon on S_i^P."""
         still = np.zeros_like(self.prepared.pair.source_neutral)
         for expression, rebuilt, target in blended:
-            solves = {}
+            smoothed, solves = rebuilt, {}
             if self.prepared.rules.source_anacon:
                 anacon = self.prepared.anacon_source
-                smoothed = anacon.take(next(anacon.form([rebuilt])))
-                rebuilt, solves["source anacon"] = smoothed.skin, smoothed.info
-            yield Retargeted(expression, rebuilt, target, still, target, target, None, solves)
+                done = anacon.take(next(anacon.form([rebuilt])))
+                smoothed, solves["source anacon"] = done.skin, done.info
+            yield Retargeted(expression, rebuilt, smoothed, target, still, target, target, None, solves)
 
     def _anacon(self, draft: Retargeted, formed: HeadState, anacon: Direction) -> Retargeted:
         """Step 4 for the target's head as invSim formed it of the draft."""

@@ -161,9 +161,18 @@ class AnatomicalTransfer:
             yield self.carry.take(formed, self.characteristics(expression) if characteristics else None)
 
     def __call__(self, frames: FloatArray) -> FloatArray:
-        """Target expressions (t, n, 3) mm for source expressions (t, n, 3) mm."""
+        """Target expressions (t, n, 3) mm for source expressions (t, n, 3) mm.
+
+        Raises InvalidInput where a simulation fails: a head at rest would pass for an answer.
+        """
         frames = check_frames("source_frames", frames, len(self.pair.source_neutral))
-        return np.array([state.skin for state in self.states(frames)]).reshape(frames.shape)
+        states = list(self.states(frames))
+        for number, state in enumerate(states):
+            if state.info.status is Status.FAILED:
+                raise InvalidInput(
+                    f"adt of expression {number}: expected a simulation that ends, {state.info.message}."
+                )
+        return np.array([state.skin for state in states]).reshape(frames.shape)
 
 
 def joined(parts: Mapping[str, SolveInfo]) -> SolveInfo:

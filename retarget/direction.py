@@ -26,7 +26,7 @@ from retarget.simulation.inverse import InverseSimulation
 from retarget.simulation.materials import weight_change
 from retarget.simulation.soft_terms import Handles
 from retarget.simulation.state import HeadState
-from retarget.types import FloatArray, IntArray, Pair
+from retarget.types import FloatArray, IntArray, Pair, Status
 
 FADE = 4.0  # mm over which the strengths of neighbouring patches pass into each other
 PULL = 1e5  # weight of a control point in the unit of Table 3, where the lip contour has 10
@@ -74,7 +74,7 @@ class Direction:
             return Carried(formed, skin(formed.gradients, formed.bones, 1.0, wanted, goals, self.load))
 
         done = simulated(self.anacon.forward, wanted)
-        if not len(self.pulled):
+        if not len(self.pulled) or done.info.status is Status.FAILED:
             return done
         displacements = self.displacements(done.skin)
         if not displacements.any():

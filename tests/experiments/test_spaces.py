@@ -18,6 +18,7 @@ WIDE = {"weight": {"log": [0.1, 1000.0]}, "other": {"linear": [0.0, 4.0]}, "kind
 def space(config: Mapping[str, Any], **present: Any) -> Space:
     return Space.from_config("plbs", config, PRESENT | present)
 
+
 PRESENT_ADT = {"w_target": 10.0, "w_soft": 1.0}
 
 

@@ -17,7 +17,6 @@ from experiments import run as run_module
 from experiments.catalogue import CONF, composed, make_method, method_settings, options
 from experiments.protocol import draw
 from experiments.run import _plain
-from experiments.spaces import Space, Trial
 from experiments.tuning import FIRST_TUNING_SEED, Tuning, check_identities, choice, row_name, trial_table
 from retarget.check import InvalidInput
 from retarget.types import Examples, Pair
@@ -93,7 +92,6 @@ def test_the_present_configuration_is_that_of_a_chosen_method_where_it_was_chang
     [
         ({"trials": 0}, "study.trials: expected a whole number of at least 1, got 0"),
         ({"trials": True}, "study.trials"),
-        ({"within": -0.1}, "study.within: expected a number of at least 0"),
         ({"spaces": {}}, "study.spaces: expected at least one method"),
         ({"spaces": {"plbz": {}}}, "study.spaces: 'plbz' is unknown"),
         ({"spaces": {"plbs": {"lambda": {"log": [1, 2]}}}}, "study.spaces.plbs: 'lambda' is unknown.*'lambda_reg'"),
@@ -104,27 +102,10 @@ def test_what_cannot_be_searched_is_refused(change: dict[str, Any], words: str) 
         configured(**change)
 
 
-def chosen(values: list[dict[str, Any]], errors: list[float]) -> int | None:
-    """Of lbs where one setting is searched, else of adt."""
-    several = len(values[0]) > 1
-    present = method_settings("adt" if several else "lbs") | values[0]
-    space = Space.from_config("adt", {name: {"log": [0.1, 1000.0]} for name in values[0]}, present)
-    return choice(space, tuple(Trial(one, one) for one in values), pd.Series(errors), within=0.01)
-
-
-def test_of_one_setting_the_largest_value_within_one_percent_is_chosen() -> None:
-    values = [{"lambda_reg": value} for value in (1.0, 0.1, 10.0, 100.0)]
-    assert chosen(values, [1.005, 1.0, 1.009, 1.02]) == 2
-    assert chosen(values, [1.005, 1.0, 1.011, 1.02]) == 0
-    assert chosen(values, [np.nan, 1.0, np.nan, 1.02]) == 1
-    assert chosen(values, [np.nan] * 4) is None
-
-
-def test_of_several_settings_the_smallest_error_is_chosen() -> None:
-    values = [{"w_target": a, "w_lip_contour": b} for a, b in ((10.0, 10.0), (100.0, 10.0), (10.0, 900.0))]
-    assert chosen(values, [1.001, 1.0, 1.002]) == 1
-    assert chosen(values, [1.0, np.nan, 1.002]) == 0
-    assert chosen(values, [np.nan] * 3) is None
+def test_the_smallest_error_is_chosen() -> None:
+    assert choice(pd.Series([1.001, 1.0, 1.002])) == 1
+    assert choice(pd.Series([1.0, np.nan, 1.002])) == 0
+    assert choice(pd.Series([np.nan] * 3)) is None
 
 
 def small(folder: Path) -> str:
