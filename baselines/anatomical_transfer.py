@@ -39,6 +39,6 @@ class _Fitted:
     def __call__(self, source_frames: FloatArray, edits: Mapping[str, Any] | None = None) -> RetargetResult:
         check_no_edits("anatomical deformation transfer", edits)
         frames = check_frames("source_frames", source_frames, len(self.adt.pair.source_neutral))
-        carried = list(self.adt.states(frames))
+        carried = list(map(self.adt.started(), frames))
         skins = np.array([state.skin for state in carried]).reshape(frames.shape)
         return RetargetResult(skins, tuple(state.info for state in carried))

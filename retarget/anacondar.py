@@ -14,12 +14,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from itertools import tee
 from typing import Any
 
 import numpy as np
 
-from retarget.anatomical_transfer import AnatomicalTransfer, AnatomySettings, Carrier, joined, without_template
+from retarget.anatomical_transfer import (
+    AnatomicalTransfer,
+    AnatomySettings,
+    Carried,
+    Carrier,
+    Former,
+    joined,
+    without_template,
+)
 from retarget.artistic import Edits
 from retarget.check import check_frames, check_no_edits
 from retarget.direction import Direction
@@ -147,22 +154,15 @@ class _Prepared:
 
 
 @dataclass(frozen=True)
-class Retargeted:
+class Steps:
     """What became of one expression, by the names of the paper; all (n, 3) mm."""
 
-    expression: FloatArray  # S_i
-    rebuilt: FloatArray  # S_i^P
-    smoothed: FloatArray  # the same after anacon if `source_anacon`
+    rebuilt: FloatArray  # S_i^P, after anacon if `source_anacon`
     blended: FloatArray  # T_i^P
     missing: FloatArray  # T_i^M - T
     draft: FloatArray  # T_i^P + T_i^M - T
     result: FloatArray  # T_i
-    near: HeadState | None  # of the target, where adt left it
-    solves: Mapping[str, SolveInfo]
-
-    @property
-    def info(self) -> SolveInfo:
-        return joined(self.solves)
+    info: SolveInfo  # of all solves
 
 
 @dataclass(frozen=True)
@@ -172,91 +172,77 @@ class _Fitted:
 
     def __call__(self, source_frames: FloatArray, edits: Mapping[str, Any] | None = None) -> RetargetResult:
         frames = check_frames("source_frames", source_frames, len(self.prepared.pair.source_neutral))
-        done = list(self._retargeted(self._blended(frames), self.prepared.directed(edits)))
+        retarget, blended = _Performance.of(self.prepared, edits), self.blendshapes(frames)
+        done = [retarget(*one) for one in zip(frames, blended.source, blended.target, strict=True)]
 
-        def stacked(part: Callable[[Retargeted], FloatArray]) -> FloatArray:
-            return np.array([part(one) for one in done]).reshape(frames.shape)
+        def stacked(name: str) -> FloatArray:
+            return np.array([getattr(steps, name) for steps in done]).reshape(frames.shape)
 
         parts = {
-            "source_reconstruction": stacked(lambda one: one.smoothed),
-            "plbs": stacked(lambda one: one.blended),
-            "missing_source": stacked(lambda one: one.expression - one.smoothed),
-            "missing_target": stacked(lambda one: one.missing),
-            "draft": stacked(lambda one: one.draft),
+            "source_reconstruction": stacked("rebuilt"),
+            "plbs": stacked("blended"),
+            "missing_source": frames - stacked("rebuilt"),
+            "missing_target": stacked("missing"),
+            "draft": stacked("draft"),
         }
-        return RetargetResult(stacked(lambda one: one.result), tuple(one.info for one in done), parts)
+        return RetargetResult(stacked("result"), tuple(steps.info for steps in done), parts)
 
-    def stream(
-        self, source_frames: Iterable[FloatArray], edits: Mapping[str, Any] | None = None
-    ) -> Iterator[Retargeted]:
+    def stream(self, source_frames: Iterable[FloatArray], edits: Mapping[str, Any] | None = None) -> Iterator[Steps]:
         """Expressions (n, 3) mm one at a time, as they are drawn. Raises InvalidInput as a call does."""
-        blended = (one for frame in source_frames for one in self._blended(check_frames("frame", frame[None])))
-        return self._retargeted(blended, self.prepared.directed(edits))
+        retarget = _Performance.of(self.prepared, edits)
+        for frame in source_frames:
+            blended = self.blendshapes(frame[None])
+            yield retarget(frame, blended.source[0], blended.target[0])
 
-    def _blended(self, frames: FloatArray) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Steps 2 and 3: S_i, S_i^P and T_i^P of frames (t, n, 3) mm."""
-        blended = self.blendshapes(frames)
-        return zip(frames, blended.source, blended.target, strict=True)
 
-    def _retargeted(
-        self, blended: Iterable[tuple[FloatArray, FloatArray, FloatArray]], anacon: Direction
-    ) -> Iterator[Retargeted]:
-        """From S_i, S_i^P and T_i^P to T_i."""
-        rules = self.prepared.rules
-        drafts, to_form, near = tee(self._drafts(blended, anacon), 3)
-        if not rules.anacon:
-            yield from drafts
-            return
-        formed = anacon.form((one.draft for one in to_form), (one.near for one in near), rules.streaming)
-        for draft, head in zip(drafts, formed, strict=True):
-            yield self._anacon(draft, head, anacon)  # eqs (6), (19)
+@dataclass(frozen=True)
+class _Performance:
+    """The method at work on frames in their order."""
 
-    def _drafts(
-        self, blended: Iterable[tuple[FloatArray, FloatArray, FloatArray]], anacon: Direction
-    ) -> Iterator[Retargeted]:
-        """T_i^P plus the missing blendshape, eqs (4) and (5)."""
-        method, neutral = self.prepared, self.prepared.pair.target_neutral
-        steps, to_carry = tee(self._smoothed(blended))
-        missing = (method.pair.source_neutral + one.expression - one.smoothed for one in to_carry)  # eq. (4): S_i^M
-        match method.rules.missing:
+    method: _Prepared
+    adt: Callable[[FloatArray], Carried]
+    form: Former  # invSim on the target's head
+    anacon: Direction
+
+    @staticmethod
+    def of(method: _Prepared, edits: Mapping[str, Any] | None) -> _Performance:
+        rules, anacon = method.rules, method.directed(edits)
+        adt = method.adt.started(characteristics=rules.held != Held.NOTHING)
+        return _Performance(method, adt, anacon.anacon.former(rules.streaming), anacon)
+
+    def __call__(self, expression: FloatArray, rebuilt: FloatArray, blended: FloatArray) -> Steps:
+        """Steps 3 and 4 for S_i, S_i^P and T_i^P (n, 3) mm."""
+        rules, pair, solves = self.method.rules, self.method.pair, {}
+        smoothed = rebuilt
+        if rules.source_anacon:
+            anacon_source = self.method.anacon_source
+            done = anacon_source.take(anacon_source.inverse(rebuilt))
+            smoothed, solves["source anacon"] = done.skin, done.info
+
+        missing = pair.source_neutral + expression - smoothed  # eq. (4): S_i^M
+        delta, near = np.zeros_like(blended), None
+        match rules.missing:
             case Missing.ADT:
-                held = method.rules.held != Held.NOTHING
-                for one, adt in zip(steps, method.adt.states(missing, held), strict=True):  # eq. (5)
-                    delta, solves = adt.skin - neutral, {**one.solves, "adt": adt.info}
-                    draft = anacon.strengthened(one.blended + delta)
-                    yield replace(one, missing=delta, draft=draft, result=draft, near=adt.taken, solves=solves)
-            case Missing.DT if method.dt is not None:
-                for one, target in zip(steps, missing, strict=True):
-                    delta = method.dt.displacements(target[None])[0]
-                    draft = anacon.strengthened(one.blended + delta)
-                    yield replace(one, missing=delta, draft=draft, result=draft)
-            case _:
-                for one in steps:
-                    draft = anacon.strengthened(one.blended)
-                    yield replace(one, draft=draft, result=draft)
+                carried = self.adt(missing)  # eq. (5): T_i^M
+                delta, near, solves["adt"] = carried.skin - pair.target_neutral, carried.taken, carried.info
+            case Missing.DT if self.method.dt is not None:
+                delta = self.method.dt.displacements(missing[None])[0]
+        draft = result = self.anacon.strengthened(blended + delta)
 
-    def _smoothed(self, blended: Iterable[tuple[FloatArray, FloatArray, FloatArray]]) -> Iterator[Retargeted]:
-        """Steps 2 and 3 as they are, or with anacon on S_i^P."""
-        still = np.zeros_like(self.prepared.pair.source_neutral)
-        for expression, rebuilt, target in blended:
-            smoothed, solves = rebuilt, {}
-            if self.prepared.rules.source_anacon:
-                anacon = self.prepared.anacon_source
-                done = anacon.take(next(anacon.form([rebuilt])))
-                smoothed, solves["source anacon"] = done.skin, done.info
-            yield Retargeted(expression, rebuilt, smoothed, target, still, target, target, None, solves)
+        if rules.anacon:
+            formed = self.form(draft, near)
+            miss = self.method.evidence.miss(expression, rebuilt)
+            done = self._taken(expression, draft, formed, miss)  # eqs (6), (19): T_i
+            result, solves["anacon"] = done.skin, done.info
+        return Steps(smoothed, blended, delta, draft, result, joined(solves))
 
-    def _anacon(self, draft: Retargeted, formed: HeadState, anacon: Direction) -> Retargeted:
-        """Step 4 for the target's head as invSim formed it of the draft."""
-        method, rules, y = self.prepared, self.prepared.rules, draft.draft
-        miss = method.evidence.miss(draft.expression, draft.rebuilt)
-        detail = np.zeros_like(y)
+    def _taken(self, expression: FloatArray, draft: FloatArray, formed: HeadState, miss: FloatArray) -> Carried:
+        """fwdSim of the target's head that formed the draft, held to what eq. (19) or `Evidence` says."""
+        rules, evidence, detail, wanted = self.method.rules, self.method.evidence, np.zeros_like(draft), None
         if rules.completed:
-            detail = method.evidence.detail(anacon.unfollowed(y, formed), miss)
-        wanted = None
+            detail = evidence.detail(self.anacon.unfollowed(draft, formed), miss)
         if rules.held != Held.NOTHING:
-            wanted = anacon.characteristics(method.adt.characteristics(draft.expression))
+            wanted = self.anacon.characteristics(self.method.adt.characteristics(expression))
         if wanted is not None and rules.held == Held.EVIDENCE:
-            wanted = method.evidence.held(wanted, y, miss)
-        done = anacon.take(formed, wanted, detail)
-        return replace(draft, result=done.skin, solves={**draft.solves, "anacon": done.info})
+            wanted = evidence.held(wanted, draft, miss)
+        return self.anacon.take(formed, wanted, detail)

@@ -6,9 +6,10 @@ anacon(y, S_i, S, T) = fwdSim(invSim(y, H_T), fc(S_i, S, T), H_T)              e
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import repeat, tee
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,6 +25,8 @@ from retarget.simulation.state import HeadState
 from retarget.suggest import choose
 from retarget.types import FloatArray, Pair, RetargetProblem, SolveInfo, Status
 
+T = TypeVar("T")
+Former = Callable[[FloatArray, HeadState | None], HeadState]  # an expression (n, 3) mm, and a state to start from
 SEVERITY = (Status.CONVERGED, Status.MAX_ITERATIONS, Status.FAILED)
 
 
@@ -113,20 +116,19 @@ class Carrier:
     scale: float = 1.0  # BB(T) / BB(S), of the bones' translations
     collisions: bool = True  # resolve those of the lips, if the forward simulation does
 
-    def form(
-        self,
-        expressions: Iterable[FloatArray],
-        near: Iterable[HeadState | None] | None = None,
-        streaming: bool = False,
-    ) -> Iterator[HeadState]:
-        """The first head forming expressions (n, 3) mm, eq. (8), as they are drawn.
+    def former(self, streaming: bool = False) -> Former:
+        """The first head, ready to form expressions one at a time; streaming: each starts from those before it too."""
+        if not streaming:
+            return self.inverse
+        waiting, near = deque[FloatArray](), deque[HeadState | None]()
+        states = self.inverse.stream(_drained(waiting), near=_drained(near))
 
-        near: for each a state of that head to start from, drawn after the expression. streaming: each also starts from
-        those before it.
-        """
-        if streaming:
-            return self.inverse.stream(expressions, near=near)
-        return map(self.inverse, expressions, repeat(None) if near is None else near)
+        def form(expression: FloatArray, start: HeadState | None = None) -> HeadState:
+            waiting.append(expression)
+            near.append(start)
+            return next(states)
+
+        return form
 
     def take(self, formed: HeadState, wanted: Characteristics | None = None) -> Carried:
         """The same on the second head, eq. (10), held to characteristics."""
@@ -153,12 +155,16 @@ class AnatomicalTransfer:
             collisions,
         )
 
-    def states(self, expressions: Iterable[FloatArray], characteristics: bool = True) -> Iterator[Carried]:
-        """adt(expression, S, T) for source expressions (n, 3) mm as they are drawn, as states of both heads."""
-        expressions, again = tee(expressions)
-        heads = self.carry.form(expressions, streaming=self.settings.streaming)
-        for expression, formed in zip(again, heads, strict=True):
-            yield self.carry.take(formed, self.characteristics(expression) if characteristics else None)
+    def started(self, characteristics: bool = True) -> Callable[[FloatArray], Carried]:
+        """adt(expression, S, T) for source expressions (n, 3) mm, one at a time, as states of both heads."""
+        form = self.carry.former(self.settings.streaming)
+
+        def adt(expression: FloatArray) -> Carried:
+            return self.carry.take(
+                form(expression, None), self.characteristics(expression) if characteristics else None
+            )
+
+        return adt
 
     def __call__(self, frames: FloatArray) -> FloatArray:
         """Target expressions (t, n, 3) mm for source expressions (t, n, 3) mm.
@@ -166,13 +172,18 @@ class AnatomicalTransfer:
         Raises InvalidInput where a simulation fails: a head at rest would pass for an answer.
         """
         frames = check_frames("source_frames", frames, len(self.pair.source_neutral))
-        states = list(self.states(frames))
+        states = list(map(self.started(), frames))
         for number, state in enumerate(states):
             if state.info.status is Status.FAILED:
                 raise InvalidInput(
                     f"adt of expression {number}: expected a simulation that ends, {state.info.message}."
                 )
         return np.array([state.skin for state in states]).reshape(frames.shape)
+
+
+def _drained(waiting: deque[T]) -> Iterator[T]:
+    while True:
+        yield waiting.popleft()
 
 
 def joined(parts: Mapping[str, SolveInfo]) -> SolveInfo:

@@ -7,7 +7,6 @@ nothing to do leaves its input as it is.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import cached_property
 
@@ -46,12 +45,6 @@ class Direction:
         self._leads = np.isin(edits.control.vertices, self._contour)  # (k,) the contour follows these
         own = edits.control.vertices[~self._leads]
         self.pulled = np.concatenate([self._contour, own]) if self._leads.any() else own  # (h,) skin vertices
-
-    def form(
-        self, drafts: Iterable[FloatArray], near: Iterable[HeadState | None], streaming: bool
-    ) -> Iterator[HeadState]:
-        """The head forming drafts (n, 3) mm; see `Carrier.form`."""
-        return self.anacon.form(drafts, near, streaming)
 
     def unfollowed(self, draft: FloatArray, formed: HeadState) -> FloatArray:
         """(n, 3) mm: what tissue cannot follow of a draft (n, 3) mm, without that which the edit of the stiffness

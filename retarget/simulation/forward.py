@@ -23,7 +23,7 @@ from retarget.anatomy.head import Head
 from retarget.check import InvalidInput, check_points
 from retarget.simulation.bones import at_rest, carry_bones, check_moves, place_bones
 from retarget.simulation.characteristics import Characteristics
-from retarget.simulation.collisions import Lips
+from retarget.simulation.collisions import SHALLOW, Lips
 from retarget.simulation.condensed import CondensedSolution, CondensedSystem, SoftProblem, SoftRows, SoftSystem
 from retarget.simulation.contact_forces import Apart, Parting
 from retarget.simulation.gradient_energy import GradientEnergy
@@ -258,9 +258,12 @@ class ForwardSimulation:
             parted = self._formed(self._apart(soft, problem, run, place, direct.forces), free)
             left = lips.depth(parted.skin)
             if left <= ACCEPTED:
-                crossed = parted.skin.copy()
+                crossed = parted.skin.copy()  # their depth does not depend on the skin around them
                 crossed[lips.vertices] = points
-                return parted, LipReport.of(lips.depth(crossed), left, direct)
+                before = lips.depth(crossed)
+                if before > SHALLOW:  # or hardly
+                    before = lips.depth(self._formed(run, free).skin)
+                return parted, LipReport.of(before, left, direct)
         done, best = self._formed(run, free), None
         before = after = lips.depth(done.skin)
         if before <= ACCEPTED:

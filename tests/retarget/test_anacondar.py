@@ -59,10 +59,10 @@ def test_without_examples_it_is_adt_and_then_anacon():
     method = make_method("anacondar", missing_collisions=True)
     found = method.prepare(pair()).fit(NONE, frames(SOURCE))(expression[None])
     adt = AnatomicalTransfer(pair(), method)
-    carried = next(adt.states([expression]))
+    carried = adt.started()(expression)
     np.testing.assert_allclose(found.parts["draft"][0], carried.skin, atol=1e-9)
     anacon = Carrier(adt.target.inverse(method.inverse_settings), adt.carry.forward)
-    formed = next(anacon.form([carried.skin], [carried.taken]))
+    formed = anacon.inverse(carried.skin, carried.taken)
     done = anacon.take(formed, FacialCharacteristics(pair(), method.lips)(expression))
     moving = np.linalg.norm(frames(SOURCE)[3] - pair().source_neutral, axis=1) > 1.0
     np.testing.assert_allclose(found.frames[0][moving], done.skin[moving], atol=0.05)
@@ -95,7 +95,7 @@ def test_ablations_leave_out_what_they_say():
     assert not fitted("no_missing_blendshape")(frame).parts["missing_target"].any()
     plain = fitted("plbs_anacon", collisions=False)
     anacon = plain.prepared.directed(None)
-    formed = next(anacon.form([plain(frame).parts["plbs"][0]], [None], False))
+    formed = anacon.anacon.inverse(plain(frame).parts["plbs"][0])
     np.testing.assert_allclose(plain(frame).frames[0], formed.skin, atol=1e-6)  # fwdSim(invSim(X)) on one head
     smoothed = fitted("source_anacon")(frame).parts["source_reconstruction"]
     assert 0.001 < rms(smoothed - fitted("plbs")(frame).parts["source_reconstruction"]) < 0.5
@@ -106,7 +106,7 @@ def test_no_characteristics_are_left_out_in_adt_too():
     none = fitted("no_characteristics")
     found = none(frame).parts
     missing = pair().source_neutral + found["missing_source"][0]
-    alone = next(none.prepared.adt.states([missing], characteristics=False))
+    alone = none.prepared.adt.started(characteristics=False)(missing)
     np.testing.assert_allclose(found["missing_target"][0], alone.skin - pair().target_neutral, atol=1e-9)
     assert rms(found["missing_target"] - fitted("anacondar")(frame).parts["missing_target"]) > 1e-3
 

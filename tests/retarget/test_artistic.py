@@ -139,7 +139,7 @@ def test_strengths_scale_the_motion_of_their_patches(
         s: fitted(frames, {"patch_weights": dict.fromkeys(range(12), s)}).frames - problem.target_neutral
         for s in (0.0, 1.0, 1.5, 2.0)
     }
-    assert np.abs(moved[0.0]).max() < 1e-5  # the neutral
+    assert np.abs(moved[0.0]).max() < 3e-5  # the neutral
     size = {s: np.linalg.norm(m, axis=2).mean() for s, m in moved.items()}
     assert size[0.0] < size[1.0] < size[1.5] < size[2.0]
     assert size[2.0] == pytest.approx(2 * size[1.0], rel=0.15)
