@@ -14,10 +14,12 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
+from threadpoolctl import ThreadpoolController
 
 from retarget.anatomy.head import Head
 from retarget.check import InvalidInput, check_points
@@ -34,6 +36,12 @@ from retarget.simulation.tetrahedra import rest_shape, vertex_volumes
 from retarget.types import FloatArray, IntArray, SolveInfo, Status
 
 ACCEPTED = 0.1  # mm: deeper lips are not resolved
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """Those with threads of their own; to find them takes longer than to set them."""
+    return ThreadpoolController()
 
 
 @dataclass(frozen=True)
@@ -206,7 +214,8 @@ class ForwardSimulation:
         solution = self._solve(soft, problem)  # step 2
         run = _Run(solution, self._system.shifts(solution.forces))
         if self._lips and collisions:
-            done, lips = self._resolve(self._lips, soft, problem, run, moved)  # step 3
+            with _libraries().limit(limits=1, user_api="blas"):  # small matrices: threads wait for each other
+                done, lips = self._resolve(self._lips, soft, problem, run, moved)  # step 3
         else:
             done, lips = self._formed(run, moved), LipReport()
         return self._state(done, wanted, carry_bones(self.head, bones, scale), lips)  # eq. (10)
