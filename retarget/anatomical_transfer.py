@@ -27,6 +27,7 @@ from retarget.types import FloatArray, Pair, RetargetProblem, SolveInfo, Status
 
 T = TypeVar("T")
 Former = Callable[[FloatArray, HeadState | None], HeadState]  # an expression (n, 3) mm, and a state to start from
+LEAST_WAY = 0.9  # of the lips' way: an expression is not given up for lips that cannot be parted, which is reported
 SEVERITY = (Status.CONVERGED, Status.MAX_ITERATIONS, Status.FAILED)
 
 
@@ -82,6 +83,7 @@ class AnatomySettings:
             self.w_eye_opening,
             self.w_eye_socket,
             collisions=self.collisions,
+            least_way=LEAST_WAY,
         )
 
     @property

@@ -58,6 +58,7 @@ class ForwardSettings:
     collisions: bool = True  # step 3
     collision_stiffness: float = 1000.0  # of a contact, relative to that of the lips at one point
     collision_rounds: int = 12
+    least_way: float = 0.0  # of the lips' way from rest that may be given up for parting them: 0 all, 1 none of it
     backend: str = "cholespy"
 
     def __post_init__(self) -> None:
@@ -66,6 +67,8 @@ class ForwardSettings:
             raise InvalidInput(f"ForwardSettings: expected w_soft, w_muscle > 0 and all weights >= 0, got {weights}.")
         if not (self.collision_stiffness > 0 and self.collision_rounds >= 1):
             raise InvalidInput("ForwardSettings: expected collision_stiffness > 0 and collision_rounds >= 1.")
+        if not 0 <= self.least_way <= 1:
+            raise InvalidInput(f"ForwardSettings: expected a least_way from 0 to 1, got {self.least_way}.")
         if not (self.area_iterations >= 1 and self.area_tolerance > 0):
             raise InvalidInput("ForwardSettings: expected area_iterations >= 1 and area_tolerance > 0.")
 
@@ -282,7 +285,7 @@ class ForwardSimulation:
         for tried in self._parting(lips, soft).along(points, rules.collision_rounds):
             parted = self._formed(self._apart(soft, problem, run, place, tried.forces), free)
             left = lips.depth(parted.skin)
-            if left < after:
+            if left < after and tried.way >= rules.least_way:
                 done, after, best = parted, left, tried
             if after <= ACCEPTED:
                 break
