@@ -117,6 +117,8 @@ def measure(study: RuntimeStudy, dataset: Dataset, threads: int, folder: Path, c
                 seconds = time.perf_counter() - started
                 table = stream(engine, performance, advance)
                 tables.append(table.assign(surface=surface, collisions=collisions, setup_seconds=seconds))
+            memory = peak_memory_mb()
+            del engine
             console.print("the whole method, from neutrals to frames")
             whole = pd.concat(
                 [retarget(study, performance, collisions, advance) for collisions in (False, True)], ignore_index=True
@@ -130,7 +132,8 @@ def measure(study: RuntimeStudy, dataset: Dataset, threads: int, folder: Path, c
         tets=len(template.tets),
         threads=threads,
         fit_seconds=round(fit_seconds, 2),
-        peak_memory_mb=round(peak_memory_mb()),
+        peak_memory_mb=round(memory),
+        anacondar_peak_memory_mb=round(peak_memory_mb()),
     )
     write_whole(folder / "frames.csv", lambda temporary: frames.to_csv(temporary, index=False))
     write_whole(folder / "method.csv", lambda temporary: whole.to_csv(temporary, index=False))
