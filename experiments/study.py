@@ -55,8 +55,10 @@ class Study:
 
     @staticmethod
     def from_config(config: Mapping[str, Any]) -> Study:
-        """Raises InvalidInput for a value that no study can have."""
+        """Raises InvalidInput for a value that no study can have. Of a list of references the first is taken."""
         values = dict(config)
+        if isinstance(values["reference"], list) and values["reference"]:
+            values["reference"] = values["reference"][0]
         if isinstance(values["correspondence"], str):
             values["correspondence"] = [values["correspondence"]]
         for key in ("correspondence", "n_examples", "references", "primary_family"):
