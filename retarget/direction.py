@@ -19,13 +19,19 @@ from retarget.artistic import Edits
 from retarget.geometry.graph import vertex_adjacency
 from retarget.geometry.space_warp import space_warp
 from retarget.rig.blendshapes import Patches
-from retarget.simulation.characteristics import EYE_OPENINGS, EYE_SOCKETS, Characteristics
+from retarget.simulation.characteristics import (
+    EYE_OPENINGS,
+    EYE_SOCKETS,
+    Characteristics,
+    eye_triangles,
+    lip_contour,
+)
 from retarget.simulation.forward import ForwardSimulation
 from retarget.simulation.inverse import InverseSimulation
 from retarget.simulation.materials import weight_change
 from retarget.simulation.soft_terms import Handles
 from retarget.simulation.state import HeadState
-from retarget.types import FloatArray, IntArray, Pair, Status
+from retarget.types import FloatArray, Pair, Status
 
 FADE = 4.0  # mm over which the strengths of neighbouring patches pass into each other
 PULL = 1e5  # weight of a control point in the unit of Table 3, where the lip contour has 10
@@ -41,7 +47,7 @@ class Direction:
         self.edits, self.pair, self.anacon, self.unedited = edits, pair, anacon, unedited
         self.load = weight_change(edits.gravity)  # (3,) 1/mm
         self.strength = faded_strengths(pair, patches, edits.strengths)  # (n,)
-        self._contour: IntArray = np.asarray(pair.regions.loops.get("lip_contour", ()), dtype=np.int64)
+        self._contour = lip_contour(pair.regions)
         self._leads = np.isin(edits.control.vertices, self._contour)  # (k,) the contour follows these
         own = edits.control.vertices[~self._leads]
         self.pulled = np.concatenate([self._contour, own]) if self._leads.any() else own  # (h,) skin vertices
@@ -92,7 +98,7 @@ class Direction:
         """What an expression is held to, by the strength of its patches."""
         if (self.strength == 1).all():
             return wanted
-        patches, lips = self.pair.regions.patches, wanted.lip_contour
+        lips = wanted.lip_contour
         if lips is not None:
             neutral = self.pair.target_neutral[self._contour]
             lips = neutral + self.strength[self._contour, None] * (lips - neutral)
@@ -100,7 +106,7 @@ class Direction:
         def scaled(ratios: FloatArray | None, names: tuple[str, ...]) -> FloatArray | None:
             if ratios is None:
                 return None
-            strength = self.strength[np.concatenate([patches[name] for name in names])].mean(axis=1)
+            strength = self.strength[eye_triangles(self.pair.regions, names)].mean(axis=1)
             return np.maximum(1 + strength * (ratios - 1), 0.0)
 
         return Characteristics(scaled(wanted.eye_opening, EYE_OPENINGS), scaled(wanted.eye_socket, EYE_SOCKETS), lips)

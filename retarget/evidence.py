@@ -26,7 +26,14 @@ import scipy.sparse as sp
 from retarget.check import InvalidInput
 from retarget.geometry.graph import vertex_adjacency
 from retarget.rig.blendshapes import Patches
-from retarget.simulation.characteristics import EYE_OPENINGS, EYE_SOCKETS, Characteristics, FacialCharacteristics
+from retarget.simulation.characteristics import (
+    EYE_OPENINGS,
+    EYE_SOCKETS,
+    Characteristics,
+    FacialCharacteristics,
+    eye_triangles,
+    lip_contour,
+)
 from retarget.types import FloatArray, IntArray, Pair
 
 NOISE = 0.05  # mm, rms: motion below it needs no explanation
@@ -56,10 +63,9 @@ class Evidence:
         regions = pair.regions
         itself = Pair(pair.faces, pair.target_neutral, pair.target_neutral, replace(regions, loops={}))
         self._areas = FacialCharacteristics(itself)
-        self._contour: IntArray = np.asarray(regions.loops.get("lip_contour", ()), dtype=np.int64)
+        self._contour = lip_contour(regions)
         self._triangles: dict[tuple[str, ...], IntArray] = {
-            names: np.concatenate([regions.patches.get(name, np.empty((0, 3), np.int64)) for name in names])
-            for names in (EYE_OPENINGS, EYE_SOCKETS)
+            names: eye_triangles(regions, names) for names in (EYE_OPENINGS, EYE_SOCKETS)
         }
         near = sp.csr_array(
             vertex_adjacency(pair.faces, len(pair.source_neutral)) + sp.eye_array(len(pair.source_neutral))

@@ -12,10 +12,21 @@ from retarget.geometry.procrustes import similarity_align
 from retarget.geometry.triangles import areas
 from retarget.rig.deformation_transfer import DeformationTransfer, Weighting
 from retarget.simulation.area_terms import DEGENERATE
-from retarget.types import FloatArray, IntArray, Pair
+from retarget.types import FloatArray, IntArray, Pair, Regions
 
 EYE_OPENINGS = ("eye_opening_left", "eye_opening_right")
 EYE_SOCKETS = ("eye_socket_left", "eye_socket_right")
+
+
+def lip_contour(regions: Regions) -> IntArray:
+    """(k,) skin vertices of the loop LC of eqs (16) and (17), in its order; none where the topology lacks it."""
+    contour: IntArray = np.asarray(regions.loops.get("lip_contour", ()), dtype=np.int64)
+    return contour
+
+
+def eye_triangles(regions: Regions, names: tuple[str, ...]) -> IntArray:
+    """(f, 3) the patches of EYE_OPENINGS or EYE_SOCKETS, one after the other, without those that are not there."""
+    return np.concatenate([regions.patches.get(name, np.empty((0, 3), np.int64)) for name in names])
 
 
 @dataclass(frozen=True)
@@ -45,7 +56,7 @@ class FacialCharacteristics:
     ) -> None:
         """Terms whose loop or patches the topology lacks are left out. Raises InvalidInput as deformation transfer."""
         self.pair, self.lips = pair, LipForm(lips)
-        self._contour: IntArray = np.asarray(pair.regions.loops.get("lip_contour", ()), dtype=np.int64)
+        self._contour = lip_contour(pair.regions)
         self._transfer = DeformationTransfer.of(pair, weighting).at(self._contour) if len(self._contour) else None
         self._missed = np.zeros((len(self._contour), 3))
         if len(self._contour) and self.lips is LipForm.RELATIVE:

@@ -10,7 +10,13 @@ import scipy.sparse as sp
 from retarget.anatomy.head import Head
 from retarget.check import InvalidInput, check_points
 from retarget.simulation.area_terms import area_terms
-from retarget.simulation.characteristics import EYE_OPENINGS, EYE_SOCKETS, Characteristics
+from retarget.simulation.characteristics import (
+    EYE_OPENINGS,
+    EYE_SOCKETS,
+    Characteristics,
+    eye_triangles,
+    lip_contour,
+)
 from retarget.simulation.condensed import SoftRows
 from retarget.simulation.projective_dynamics import LENGTH_UNIT
 from retarget.simulation.weights import tet_of_weight_one
@@ -58,9 +64,9 @@ class SoftTerms:
         regions = head.template.regions
         self.head, self.weights = head, weights
         unit = tet_of_weight_one(head)
-        contour = regions.loops.get("lip_contour", NONE)
+        contour = lip_contour(regions)
         triangles = {
-            term: np.concatenate([regions.patches.get(name, np.empty((0, 3), np.int64)) for name in names])
+            term: eye_triangles(regions, names)
             for term, names in (("eye_opening", EYE_OPENINGS), ("eye_socket", EYE_SOCKETS))
         }
         used = np.concatenate([contour, *(faces.ravel() for faces in triangles.values())])
