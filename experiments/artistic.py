@@ -17,6 +17,7 @@ from experiments.backend import limited_threads
 from experiments.catalogue import make_method, options
 from experiments.progress import Advance, print_path, progress
 from experiments.protocol import draw
+from experiments.study import check_whole
 from reports.artistic_sheet import Panel, write_artistic_sheet
 from reports.terminal import print_edits
 from retarget.artistic import Edits
@@ -49,8 +50,7 @@ class ArtisticStudy:
     def from_config(config: Mapping[str, Any]) -> ArtisticStudy:
         """Raises InvalidInput for a value that the study cannot have."""
         study = ArtisticStudy(**config)
-        if not isinstance(study.n_examples, int) or isinstance(study.n_examples, bool) or study.n_examples < 0:
-            raise InvalidInput(f"study.n_examples: expected a whole number of at least 0, got {study.n_examples!r}.")
+        check_whole("study.n_examples", study.n_examples, 0)
         if not isinstance(study.edits, Mapping) or not study.edits:
             raise InvalidInput(f"study.edits: expected edits by their titles, got {study.edits!r}.")
         choose("study.method", study.method, options("method"))

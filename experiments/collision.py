@@ -24,6 +24,7 @@ from experiments.catalogue import make_method, options
 from experiments.lip_depth import LipDepth
 from experiments.progress import Advance, print_path, progress
 from experiments.protocol import draw
+from experiments.study import check_whole
 from reports.collision_sheet import Case, write_collision_sheet
 from reports.terminal import print_collisions
 from retarget.check import InvalidInput
@@ -57,9 +58,7 @@ class CollisionStudy:
         """Raises InvalidInput for a value that the study cannot have."""
         study = CollisionStudy(**config)
         for name, least in (("n_examples", 0), ("pairs", 1), ("expressions", 1), ("shown", 1)):
-            value = getattr(study, name)
-            if not isinstance(value, int) or isinstance(value, bool) or value < least:
-                raise InvalidInput(f"study.{name}: expected a whole number of at least {least}, got {value!r}.")
+            check_whole(f"study.{name}", getattr(study, name), least)
         if not (isinstance(study.depth, int | float) and 0 < study.depth < np.inf):
             raise InvalidInput(f"study.depth: expected a positive number of mm, got {study.depth!r}.")
         choose("study.method", study.method, options("method"))

@@ -67,11 +67,11 @@ class Study:
             values[key] = tuple(values[key])
         figures = Figures(**values.pop("figures"))
         for key in ("seed", "draws", "test_expressions"):
-            _whole(f"study.{key}", values[key], 0 if key == "seed" else 1)
+            check_whole(f"study.{key}", values[key], 0 if key == "seed" else 1)
         for count in values["n_examples"]:
-            _whole("study.n_examples", count, 0)
+            check_whole("study.n_examples", count, 0)
         for key in ("pairs", "draws"):
-            _whole(f"study.figures.{key}", getattr(figures, key), 0)
+            check_whole(f"study.figures.{key}", getattr(figures, key), 0)
         for name in values["correspondence"]:
             choose("study.correspondence", name, CORRESPONDENCES)
         if not values["correspondence"] or len(set(values["correspondence"])) < len(values["correspondence"]):
@@ -143,7 +143,8 @@ def _method(name: str, settings: Mapping[str, Any]) -> Retargeter:
     return method
 
 
-def _whole(name: str, value: object, least: int) -> None:
+def check_whole(name: str, value: object, least: int) -> None:
+    """Raises InvalidInput unless a setting is a whole number of at least `least`."""
     if not isinstance(value, int) or isinstance(value, bool) or value < least:
         raise InvalidInput(f"{name}: expected a whole number of at least {least}, got {value!r}.")
 

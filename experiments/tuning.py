@@ -12,7 +12,7 @@ from omegaconf import OmegaConf
 
 from experiments.catalogue import method_settings, options
 from experiments.spaces import Space, Trial
-from experiments.study import Study
+from experiments.study import Study, check_whole
 from reports.cells import FINISHED
 from retarget.check import InvalidInput
 from retarget.suggest import choose
@@ -33,8 +33,7 @@ class Tuning:
         """Of a study's settings and those of the chosen methods. Raises InvalidInput for what cannot be searched."""
         rest = dict(config)
         count, described = (rest.pop(name) for name in ("trials", "spaces"))
-        if not isinstance(count, int) or isinstance(count, bool) or count < 1:
-            raise InvalidInput(f"study.trials: expected a whole number of at least 1, got {count!r}.")
+        check_whole("study.trials", count, 1)
         if not isinstance(described, Mapping) or not described:
             raise InvalidInput(f"study.spaces: expected at least one method to tune, got {described!r}.")
         spaces = {}
