@@ -7,11 +7,10 @@ For each expression of an animation, one at a time and in its order: adt of the 
 from __future__ import annotations
 
 import time
-from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,7 +20,9 @@ from experiments.backend import limited_threads
 from experiments.catalogue import make_method
 from experiments.memory import peak_memory_mb
 from experiments.progress import Advance, print_path, progress
+from experiments.study import check_whole
 from reports.terminal import print_runtime
+from retarget.anatomical_transfer import former
 from retarget.anatomy.fit import fit_head
 from retarget.anatomy.head import Head
 from retarget.anatomy.store import load_template
@@ -32,12 +33,10 @@ from retarget.simulation.bones import size_ratio
 from retarget.simulation.characteristics import FacialCharacteristics
 from retarget.simulation.forward import ForwardSettings, ForwardSimulation
 from retarget.simulation.inverse import InverseSettings, InverseSimulation
-from retarget.simulation.state import HeadState
 from retarget.suggest import choose
 from retarget.types import Examples, FloatArray, Pair, Status
 from synth_data.dataset import Dataset
 
-T = TypeVar("T")
 FRAMES_LEAST = 50  # fewer give no median to speak of
 STAGES = ("adt_inverse", "adt_forward", "anacon_inverse", "anacon_forward")
 
@@ -65,8 +64,7 @@ class RuntimeStudy:
             ("frames_per_expression", study.frames_per_expression, 1),
             ("blendshapes", study.blendshapes, 1),
         ):
-            if not isinstance(value, int) or isinstance(value, bool) or value < least:
-                raise InvalidInput(f"study.{name}: expected a whole number of at least {least}, got {value!r}.")
+            check_whole(f"study.{name}", value, least)
         choose("study.template", study.template, ("coarse", "paper"))
         for surface in study.surfaces:
             choose("study.surfaces", surface, ("soft", "hard"))
@@ -183,19 +181,16 @@ def set_up(pair: Pair, source: Head, target: Head, surface: str, collisions: boo
 def stream(engine: Engine, performance: Performance, advance: Advance = lambda count: None) -> pd.DataFrame:
     """One row for each expression: seconds by stage, iterations, lip depths in mm, whether all solves converged."""
     rows = []
-    neutral, drafts, carried = performance.pair.target_neutral, deque[FloatArray](), deque[HeadState | None]()
-    adt_states = engine.source.stream(performance.missing)
-    anacon_states = engine.target.stream(_taken(drafts), near=_taken(carried))
+    neutral = performance.pair.target_neutral
+    adt, anacon = (former(simulation, streaming=True) for simulation in (engine.source, engine.target))
     for i, expression in enumerate(performance.frames):
         clock = [time.perf_counter()]
-        source = next(adt_states)
+        source = adt(performance.missing[i], None)
         clock.append(time.perf_counter())
         wanted = engine.characteristics(performance.missing[i])
         missing = engine.forward(source.gradients, source.bones, engine.scale, wanted)  # T_i^M, eq. (5)
         clock.append(time.perf_counter())
-        drafts.append(performance.blended[i] + missing.skin - neutral)
-        carried.append(missing)
-        target = next(anacon_states)
+        target = anacon(performance.blended[i] + missing.skin - neutral, missing)
         clock.append(time.perf_counter())
         wanted = engine.characteristics(expression)
         final = engine.forward(target.gradients, target.bones, 1.0, wanted)  # T_i, eq. (19)
@@ -245,11 +240,6 @@ def summarise_method(whole: pd.DataFrame) -> dict[str, float]:
         "anacondar_setup_seconds": round(plain["setup_seconds"].iloc[0], 2),
         "anacondar_not_converged": int((whole["status"] != Status.CONVERGED).sum()),
     }
-
-
-def _taken(waiting: deque[T]) -> Iterator[T]:
-    while True:
-        yield waiting.popleft()
 
 
 def warm_up(study: RuntimeStudy, performance: Performance, source: Head, target: Head) -> None:

@@ -24,6 +24,7 @@ from retarget.anatomical_transfer import (
     Carried,
     Carrier,
     Former,
+    former,
     joined,
     without_template,
 )
@@ -208,7 +209,7 @@ class _Performance:
     def of(method: _Prepared, edits: Mapping[str, Any] | None) -> _Performance:
         rules, anacon = method.rules, method.directed(edits)
         adt = method.adt.started(characteristics=rules.held != Held.NOTHING)
-        return _Performance(method, adt, anacon.anacon.former(rules.streaming), anacon)
+        return _Performance(method, adt, former(anacon.anacon.inverse, rules.streaming), anacon)
 
     def __call__(self, expression: FloatArray, rebuilt: FloatArray, blended: FloatArray) -> Steps:
         """Steps 3 and 4 for S_i, S_i^P and T_i^P (n, 3) mm."""

@@ -118,20 +118,6 @@ class Carrier:
     scale: float = 1.0  # BB(T) / BB(S), of the bones' translations
     collisions: bool = True  # resolve those of the lips, if the forward simulation does
 
-    def former(self, streaming: bool = False) -> Former:
-        """The first head, ready to form expressions one at a time; streaming: each starts from those before it too."""
-        if not streaming:
-            return self.inverse
-        waiting, near = deque[FloatArray](), deque[HeadState | None]()
-        states = self.inverse.stream(_drained(waiting), near=_drained(near))
-
-        def form(expression: FloatArray, start: HeadState | None = None) -> HeadState:
-            waiting.append(expression)
-            near.append(start)
-            return next(states)
-
-        return form
-
     def take(self, formed: HeadState, wanted: Characteristics | None = None) -> Carried:
         """The same on the second head, eq. (10), held to characteristics."""
         gradients, bones = formed.gradients, formed.bones
@@ -159,7 +145,7 @@ class AnatomicalTransfer:
 
     def started(self, characteristics: bool = True) -> Callable[[FloatArray], Carried]:
         """adt(expression, S, T) for source expressions (n, 3) mm, one at a time, as states of both heads."""
-        form = self.carry.former(self.settings.streaming)
+        form = former(self.carry.inverse, self.settings.streaming)
 
         def adt(expression: FloatArray) -> Carried:
             return self.carry.take(
@@ -181,6 +167,21 @@ class AnatomicalTransfer:
                     f"adt of expression {number}: expected a simulation that ends, {state.info.message}."
                 )
         return np.array([state.skin for state in states]).reshape(frames.shape)
+
+
+def former(inverse: InverseSimulation, streaming: bool) -> Former:
+    """invSim, ready to form expressions one at a time; streaming: each starts from those before it too."""
+    if not streaming:
+        return inverse
+    waiting, near = deque[FloatArray](), deque[HeadState | None]()
+    states = inverse.stream(_drained(waiting), near=_drained(near))
+
+    def form(expression: FloatArray, start: HeadState | None = None) -> HeadState:
+        waiting.append(expression)
+        near.append(start)
+        return next(states)
+
+    return form
 
 
 def _drained(waiting: deque[T]) -> Iterator[T]:
