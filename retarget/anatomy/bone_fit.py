@@ -63,9 +63,9 @@ def place_skull(
 ) -> FloatArray:
     """Move the skull vertices `start` (k, 3) mm, faces as in `skull`, under the skin `new`.
 
-    Its depths under the bridged skin become those of the template's `skull` under its `skin`; the distances from the
-    landmarks become `depths` in mm; it keeps `least` mm under all skin. The corrections are smooth in space. A skull
-    that is right already is returned unchanged.
+    The distances from the landmarks become `depths` in mm; it keeps `least` mm under all skin, or nearly what the
+    template's `skull` keeps under its `skin`. The corrections are smooth in space. A skull that is right already is
+    returned unchanged.
     """
     rest, faces = skull
     at = [new.regions.landmarks[name] for name in depths]
@@ -73,7 +73,7 @@ def place_skull(
     own = skin.depth(rest)
     clearance = np.minimum(least, 0.8 * own)
     tolerance = np.clip(np.abs(distance_to(skull, skin.surface[0][at]) - wanted) + 0.01, TOLERANCE, LARGEST_TOLERANCE)
-    x = start + _depth_step(rest, start, own, skin, new)
+    x = start
     radius, depth = wanted.copy(), np.zeros(len(x))
     for _ in range(_ROUNDS):
         near = depth < least  # a bound: the others cannot have come so near by their moves
@@ -105,8 +105,10 @@ def measure_skull(surface: Surface, skin: Skin, depths: Mapping[str, float]) -> 
     return SkullFit(dict(zip(depths, errors.tolist(), strict=True)), clearance)
 
 
-def _depth_step(rest: FloatArray, start: FloatArray, own: FloatArray, skin: Skin, new: Skin) -> FloatArray:
-    """(k, 3) mm: a smooth step of the warped skull towards the template's depths under the bridged skin."""
+def follow_depths(rest: FloatArray, skin: Skin, start: FloatArray, new: Skin) -> FloatArray:
+    """(k, 3) mm: the skull vertices `start` (k, 3) mm moved by a smooth step towards the depths under the bridged skin
+    `new` that the template's, `rest` (k, 3) mm, have under its `skin`."""
+    own = skin.depth(rest)
     deep = np.linalg.norm(rest - closest(skin.bridged, rest), axis=1)
     cavities = cavity_faces(skin.surface[1], skin.regions, len(skin.surface[0]))
     off_cavities = distance_to((skin.surface[0], cavities), rest) > _CAVITY_WALL
@@ -115,8 +117,8 @@ def _depth_step(rest: FloatArray, start: FloatArray, own: FloatArray, skin: Skin
     foot = start[outer] - closest(new.bridged, start[outer])
     wanted = (deep[outer] - np.linalg.norm(foot, axis=1))[:, None] * _unit(foot)
     kernel = _kernel(start, start[outer])
-    step: FloatArray = kernel @ wanted / (kernel.sum(axis=1, keepdims=True) + 0.1)
-    return step
+    moved: FloatArray = start + kernel @ wanted / (kernel.sum(axis=1, keepdims=True) + 0.1)
+    return moved
 
 
 def _bumps(centres: FloatArray, steps: FloatArray, points: FloatArray) -> FloatArray:
@@ -133,7 +135,9 @@ def _bumps(centres: FloatArray, steps: FloatArray, points: FloatArray) -> FloatA
 def _kernel(points: FloatArray, centres: FloatArray) -> FloatArray:
     """(p, c): Wendland's C2 function of the distance, zero beyond `SMOOTH`."""
     r = np.minimum(cdist(points, centres) / SMOOTH, 1.0)
-    return (1 - r) ** 4 * (4 * r + 1)
+    inward = np.square(1 - r)
+    bump: FloatArray = inward * inward * (4 * r + 1)
+    return bump
 
 
 def _unit(vectors: FloatArray) -> FloatArray:

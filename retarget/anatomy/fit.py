@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from scipy.spatial.distance import cdist
 from threadpoolctl import threadpool_limits
 
-from retarget.anatomy.bone_fit import CLEARANCE, Skin, SkullFit, measure_skull, place_skull
+from retarget.anatomy.bone_fit import CLEARANCE, Skin, SkullFit, follow_depths, measure_skull, place_skull
 from retarget.anatomy.closed import self_intersections
 from retarget.anatomy.depths import depths_with_room
 from retarget.anatomy.head import Head, HeadTemplate
@@ -160,7 +160,7 @@ def _warped(template: HeadTemplate, skin: FloatArray, new: Skin) -> tuple[FloatA
     sources, targets = template.skin[on_skin], skin[on_skin]
     old = Skin.of(template.skin, template.faces, template.regions)
     start, depths = (
-        warp(sources, targets)(at_rest),
+        follow_depths(at_rest, old, warp(sources, targets)(at_rest), new),
         depths_with_room(*new.surface, template.regions, template.depths, behind=CLEARANCE),
     )
     for attempt in range(ATTEMPTS):

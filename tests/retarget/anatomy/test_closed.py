@@ -94,3 +94,15 @@ def test_triangles_of_very_different_size_are_compared() -> None:
     faces = np.arange(6, dtype=np.int64).reshape(2, 3)
     assert len(self_intersections(np.vstack([large, small]), faces)) == 1
     assert len(self_intersections(np.vstack([large, small + np.array([0, 0, 1])]), faces)) == 0
+
+
+def test_triangles_in_one_plane_do_not_cross_by_rounding() -> None:
+    rng = np.random.default_rng(0)
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    grid = np.stack(np.meshgrid(np.arange(30.0), np.arange(30.0), [0.0]), axis=-1).reshape(-1, 3) @ turn.T + 600.0
+    at = np.arange(900).reshape(30, 30)
+    low, high = (at[:-1, :-1], at[:-1, 1:], at[1:, 1:]), (at[:-1, :-1], at[1:, 1:], at[1:, :-1])
+    faces = np.concatenate([np.stack([c.ravel() for c in half], axis=1) for half in (low, high)])
+    moved = np.array([0.3, 0.2, 0.0]) @ turn.T
+    twice = np.vstack([grid, grid + moved])
+    assert len(self_intersections(twice, np.vstack([faces, faces + 900]))) == 0
