@@ -103,6 +103,6 @@ def test_triangles_in_one_plane_do_not_cross_by_rounding() -> None:
     at = np.arange(900).reshape(30, 30)
     low, high = (at[:-1, :-1], at[:-1, 1:], at[1:, 1:]), (at[:-1, :-1], at[1:, 1:], at[1:, :-1])
     faces = np.concatenate([np.stack([c.ravel() for c in half], axis=1) for half in (low, high)])
-    moved = np.array([0.3, 0.2, 0.0]) @ turn.T
+    moved = np.array([0.5, 0.0, 0.0]) @ turn.T
     twice = np.vstack([grid, grid + moved])
     assert len(self_intersections(twice, np.vstack([faces, faces + 900]))) == 0
