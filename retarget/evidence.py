@@ -21,10 +21,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.sparse as sp
 
 from retarget.check import InvalidInput
-from retarget.geometry.graph import vertex_adjacency
+from retarget.geometry.laplacian import heat
 from retarget.rig.blendshapes import Patches
 from retarget.simulation.characteristics import (
     EYE_OPENINGS,
@@ -37,7 +36,7 @@ from retarget.simulation.characteristics import (
 from retarget.types import FloatArray, IntArray, Pair
 
 NOISE = 0.05  # mm, rms: motion below it needs no explanation
-SPREAD = 6  # times that the miss is averaged with the neighbours', so that it does not jump from patch to patch
+SPREAD = 6.0  # mm: standard deviation of the heat that carries the miss over the borders of patches
 
 
 @dataclass(frozen=True)
@@ -67,10 +66,7 @@ class Evidence:
         self._triangles: dict[tuple[str, ...], IntArray] = {
             names: eye_triangles(regions, names) for names in (EYE_OPENINGS, EYE_SOCKETS)
         }
-        near = sp.csr_array(
-            vertex_adjacency(pair.faces, len(pair.source_neutral)) + sp.eye_array(len(pair.source_neutral))
-        )
-        self._spread = sp.csr_array(sp.diags_array(1 / near.sum(axis=1)) @ near)
+        self._spread = heat(pair.source_neutral, pair.faces, SPREAD)
 
     def miss(self, expression: FloatArray, rebuilt: FloatArray) -> FloatArray:
         """m (n,) for S_i (n, 3) mm and S_i^P (n, 3) mm."""
@@ -79,9 +75,7 @@ class Evidence:
         share = np.empty(len(expression))
         for patch in self.patches:
             share[patch] = min(1.0, np.sqrt(missed[patch].sum() / motion[patch].sum()))
-        for _ in range(SPREAD):
-            share = self._spread @ share
-        return share
+        return self._spread(share)
 
     def detail(self, unfollowed: FloatArray, miss: FloatArray) -> FloatArray:
         """(n, 3) mm: what the result is completed by, of what tissue could not follow of the draft (n, 3) mm."""

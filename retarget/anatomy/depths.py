@@ -19,6 +19,7 @@ from scipy.sparse.linalg import splu
 from retarget.anatomy.distance import distance_to
 from retarget.check import InvalidInput
 from retarget.geometry.graph import components, vertex_adjacency
+from retarget.geometry.laplacian import surface_energies
 from retarget.types import FloatArray, IntArray, Regions
 
 FILE = "soft_tissue_depths.csv"
@@ -136,18 +137,3 @@ def depth_basis(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> F
     factor = splu(sp.csc_matrix(rows[:, free]), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
     basis[free] = factor.solve(-rows[:, landmarks].toarray())
     return basis
-
-
-def surface_energies(vertices: FloatArray, faces: IntArray) -> tuple[sp.csr_array, FloatArray]:
-    """Stiffness (n, n) with weights (cot a + cot b) / 2, negative cotangents left out so that maxima stay at
-    landmarks, and the lumped areas (n,) in mm^2."""
-    n = len(vertices)
-    stiffness, mass = sp.csr_array((n, n)), np.full(n, 1e-3)
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        a, b = vertices[faces[:, i]] - vertices[faces[:, k]], vertices[faces[:, j]] - vertices[faces[:, k]]
-        twice_area = np.linalg.norm(np.cross(a, b), axis=1)
-        weight = np.clip(0.5 * np.einsum("ij,ij->i", a, b) / np.maximum(twice_area, 1e-9), 1e-3, 1e2)
-        ends = faces[:, i], faces[:, j]
-        stiffness = stiffness - sp.csr_array((weight, ends), shape=(n, n)) - sp.csr_array((weight, ends[::-1]), (n, n))
-        mass += np.bincount(faces[:, k], twice_area / 6, n)
-    return sp.csr_array(stiffness - sp.diags_array(stiffness.sum(axis=1))), mass
