@@ -100,6 +100,7 @@ class DeformationTransfer:
         self._free = np.setdiff1d(np.arange(n), pinned)
         self._from_displacements = (divergence @ source_gradient).tocsr()[self._free]
         self._from_fourth = (divergence @ source_normal).tocsr()[self._free]
+        self._divergence = divergence[self._free]
         laplacian = (divergence @ target_gradient).tocsr()
         self._factor = CholeskyFactor(laplacian[self._free][:, self._free], "deformation transfer")
 
@@ -122,6 +123,20 @@ class DeformationTransfer:
             moved[part] = self._displacements(source_frames[part])
         return moved
 
+    def integrate(self, changes: FloatArray, source_moved: FloatArray) -> FloatArray:
+        """Displacements (t, n, 3) mm of the target whose gradients come closest to changes (t, f, 3, 3), without unit.
+
+        changes[i, j] is a transposed gradient, as in `gradient_operators`. source_moved (t, n, 3) mm are the source's
+        displacements: what stands still in them is not translated. `displacements` plus this is thus the transfer with
+        the source's gradients changed.
+        """
+        n, t = len(self.source), len(changes)
+        rhs = self._divergence @ changes.transpose(1, 2, 0, 3).reshape(-1, 3 * t)
+        moved = np.zeros((n, t, 3))
+        moved[self._free] = self._factor.solve(rhs).reshape(-1, t, 3)
+        self._translate(moved, np.zeros_like(moved), source_moved.transpose(1, 0, 2))
+        return moved.transpose(1, 0, 2)
+
     def at(self, vertices: IntArray) -> PointTransfer:
         """The transfer of a few of its vertices (k,) alone, in less time."""
         return PointTransfer(self, vertices)
@@ -134,7 +149,7 @@ class DeformationTransfer:
         rhs = self._right_side(source_moved.reshape(n, -1), fourth_moved.reshape(len(self.faces), -1))
         target_moved = np.zeros_like(source_moved)
         target_moved[self._free] = self._factor.solve(rhs).reshape(-1, t, 3)
-        self._translate(target_moved, self.size_ratio * source_moved)
+        self._translate(target_moved, self.size_ratio * source_moved, source_moved)
         return target_moved.transpose(1, 0, 2)
 
     def _right_side(self, moved: FloatArray, fourth_moved: FloatArray) -> FloatArray:
@@ -143,13 +158,13 @@ class DeformationTransfer:
         rhs += self._from_fourth @ fourth_moved
         return rhs
 
-    def _translate(self, moved: FloatArray, wanted: FloatArray) -> None:
+    def _translate(self, moved: FloatArray, wanted: FloatArray, source_moved: FloatArray) -> None:
         """Shift each component of moved (n, t, 3) so that its anchors have the mean displacement of `wanted`."""
         for piece, anchors in zip(self._components, self._anchors, strict=True):
             if len(anchors):
                 moved[piece] += (wanted[anchors] - moved[anchors]).mean(axis=0)
                 continue
-            still = _stillest(np.linalg.norm(wanted[piece], axis=-1))[..., None]  # (m, t, 1)
+            still = _stillest(np.linalg.norm(source_moved[piece], axis=-1))[..., None]  # (m, t, 1)
             moved[piece] += np.sum(still * (wanted[piece] - moved[piece]), axis=0) / still.sum(axis=0)
 
 
