@@ -47,9 +47,27 @@ def cranium(subdivisions: int = 3) -> IntArray:
     return np.flatnonzero(directions @ np.array([0.0, 0.6, -0.8]) > 0.5)
 
 
+def landmarks(subdivisions: int = 3) -> dict[str, int]:
+    """ibug_00 to ibug_50 on the front: brows, nose, eyes and mouth, each from the character's right to the left."""
+    turn = np.linspace(np.pi, -np.pi, 12, endpoint=False)
+    brow = np.stack([np.linspace(-0.25, 0.25, 5), [0.0, 0.12, 0.16, 0.12, 0.0]], axis=1)
+    bridge = np.stack([np.zeros(4), np.linspace(0.25, 0.0, 4)], axis=1)
+    base = np.stack([np.linspace(-0.2, 0.2, 5), [0.0, -0.05, -0.1, -0.05, 0.0]], axis=1) - [0, 0.1]
+    eye = np.stack([0.2 * np.cos(turn[::2]), 0.13 * np.sin(turn[::2])], axis=1)
+    lips = np.stack([0.4 * np.cos(turn), 0.25 * np.sin(turn)], axis=1)
+    inside = 0.6 * lips[[0, 2, 3, 4, 6, 8, 9, 10]]
+    left, up = np.array([0.4, 0.0]), np.array([0.0, 0.25])
+    parts = [brow - left + 2 * up, brow + left + 2 * up, bridge, base]
+    places = np.concatenate([*parts, eye - left + up, eye + left + up, lips - 2 * up, inside - 2 * up])
+    wanted = np.column_stack([places, np.sqrt(1 - (places**2).sum(axis=1))])
+    nearest = np.argmax(wanted @ ball(subdivisions)[0].T, axis=1)
+    return {f"ibug_{i:02d}": int(vertex) for i, vertex in enumerate(nearest)}
+
+
 def regions(subdivisions: int = 3) -> Regions:
     count = len(ball(subdivisions)[0])
-    return Regions(vertices={"head": np.arange(count), "cranium": cranium(subdivisions)})
+    whole = {"head": np.arange(count), "cranium": cranium(subdivisions)}
+    return Regions(vertices=whole, landmarks=landmarks(subdivisions))
 
 
 def problem(
