@@ -35,7 +35,7 @@ SEVERITY = (Status.CONVERGED, Status.MAX_ITERATIONS, Status.FAILED)
 class AnatomySettings:
     """The template's size and the weights of both simulations.
 
-    template: `coarse` or `paper`. length_mm: unit of length, in mm, of the weights of squared distances; 10 reads the
+    template: `coarse` or `paper`. tissue_depth: factor on the table of soft-tissue depths. length_mm: unit of length, in mm, of the weights of squared distances; 10 reads the
     published ones in centimetres, as `retarget.simulation.weights` explains. tets: see `TetWeights`.
     lips: see `LipForm`. jaw: see `Jaw`. collisions: resolve those of the lips. streaming: frames are an animation in
     its order, and each solve starts from those before it: fewer iterations, and results that differ by the solver's
@@ -44,6 +44,7 @@ class AnatomySettings:
     """
 
     template: str = "coarse"
+    tissue_depth: float = 1.0
     length_mm: float = 10.0
     w_soft: float = 1.0  # w_S of eq. (14)
     w_muscle: float = 1.0  # w_M
@@ -64,8 +65,9 @@ class AnatomySettings:
         choose("lips", self.lips, LipForm)
         choose("tets", self.tets, TetWeights)
         choose("jaw", self.jaw, Jaw)
-        if not 0 < self.length_mm < np.inf:
-            raise InvalidInput(f"length_mm: expected a positive number, got {self.length_mm}.")
+        for name in ("length_mm", "tissue_depth"):
+            if not 0 < getattr(self, name) < np.inf:
+                raise InvalidInput(f"{name}: expected a positive number, got {getattr(self, name)}.")
         self.inverse_settings, self.forward_settings  # noqa: B018  # raise for weights out of range
 
     @property
@@ -134,7 +136,7 @@ class AnatomicalTransfer:
         Raises InvalidInput for a topology without a template and for neutrals that no head can be made of.
         """
         self.pair, self.settings = pair, settings
-        self.source, self.target = characters(pair, settings.template)  # eq. (7)
+        self.source, self.target = characters(pair, settings.template, settings.tissue_depth)  # eq. (7)
         self.characteristics = FacialCharacteristics(pair, settings.lips)  # eq. (9)
         self.carry = Carrier(
             self.source.inverse(settings.inverse_settings, settings.tets),

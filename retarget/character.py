@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import lru_cache
 from typing import Any
@@ -59,12 +59,13 @@ class Character:
 
     topology: Topology
     size: str  # of the template, coarse | paper
+    tissue_depth: float  # of the soft-tissue depths at the landmarks, as a factor on the template's table
     digest: str
     neutral: FloatArray = field(compare=False, repr=False)
 
     @staticmethod
-    def of(topology: Topology, size: str, neutral: FloatArray) -> Character:
-        return Character(topology, size, _digest(neutral), neutral)
+    def of(topology: Topology, size: str, neutral: FloatArray, tissue_depth: float = 1.0) -> Character:
+        return Character(topology, size, tissue_depth, _digest(neutral), neutral)
 
     @property
     def head(self) -> Head:
@@ -84,11 +85,11 @@ class Character:
         return _forward(self, settings, TetWeights(tets), stiffness)
 
 
-def characters(pair: Pair, size: str) -> tuple[Character, Character]:
+def characters(pair: Pair, size: str, tissue_depth: float = 1.0) -> tuple[Character, Character]:
     """Source and target of a pair, their heads fitted side by side. Raises InvalidInput as `fit_head` does."""
     topology = Topology.of(pair.faces, pair.regions)
     topology.template(size)  # once for both
-    source, target = (Character.of(topology, size, v) for v in (pair.source_neutral, pair.target_neutral))
+    source, target = (Character.of(topology, size, v, tissue_depth) for v in (pair.source_neutral, pair.target_neutral))
     with threadpool_limits(limits=1), ThreadPoolExecutor(2) as pool:  # outside: `fit_head` limits and restores as well
         for _ in pool.map(_head, {source, target}):
             pass
@@ -108,7 +109,10 @@ def _template(topology: Topology, size: str) -> HeadTemplate:
 
 @lru_cache(maxsize=KEPT_HEADS)
 def _head(character: Character) -> Head:
-    return fit_head(character.topology.template(character.size), character.neutral)
+    template, factor = character.topology.template(character.size), character.tissue_depth
+    if factor != 1.0:
+        template = replace(template, depths={name: factor * depth for name, depth in template.depths.items()})
+    return fit_head(template, character.neutral)
 
 
 @lru_cache(maxsize=KEPT_SIMULATIONS)
