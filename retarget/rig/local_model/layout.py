@@ -88,10 +88,13 @@ class OverlappingPatches:
         """(n, ...) the values (m, ...) at places, put together by their shares."""
         return _applied(self._blending, values)
 
+    def total(self, values: FloatArray) -> FloatArray:
+        """(n, ...) the sum over the patches that hold a vertex, of values (m, ...) at places."""
+        return _applied(self._gathering, values)
+
     def mean(self, values: FloatArray) -> FloatArray:
         """(n, ...) the plain mean over the patches that hold a vertex, of values (m, ...) at places."""
-        summed = _applied(self._gathering, values)
-        return summed / self.multiplicity.reshape(-1, *[1] * (values.ndim - 1))
+        return self.total(values) / self.multiplicity.reshape(-1, *[1] * (values.ndim - 1))
 
 
 def check_rings(rings: int) -> None:

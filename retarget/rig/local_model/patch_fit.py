@@ -12,7 +12,7 @@ blendshapes only, so that an iteration over the rigid motion costs one back-subs
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,9 +23,9 @@ from retarget.geometry.cholesky import CholeskyFactor
 from retarget.rig.blendshapes import Residual
 from retarget.rig.local_model.layout import OverlappingPatches
 from retarget.suggest import choose
-from retarget.types import FloatArray
+from retarget.types import FloatArray, SolveInfo, Status
 
-LEAST_STEP = 1e-8  # mm that the rigid motion may still move a head
+LEAST_STEP = 1e-7  # mm that the rigid motion may still move a head
 HEAD = 100.0  # mm from the middle of a head to its skin, for angles
 ITERATIONS = 60
 _CROSS = np.zeros((3, 3, 3))  # (a x b)_e = sum_cd _CROSS[e, c, d] a_c b_d
@@ -76,8 +76,7 @@ class PatchCoefficients:
     alpha: FloatArray
     rotation: FloatArray  # (t, 3, 3)
     shift: FloatArray  # (t, 3) mm
-    iterations: tuple[int, ...] = field(default=())
-    moved: tuple[float, ...] = field(default=())  # mm in the last iteration
+    info: tuple[SolveInfo, ...] = ()  # of the rigid motion
 
 
 class PatchBlendshapes:
@@ -126,7 +125,7 @@ class PatchFit:
         self._at_rest = self._moments(shapes.neutral)  # (P, k, 3, 3)
         self._sums = np.array([w * d.sum(axis=2) for w, d in zip(self._weights, shapes.deltas, strict=True)])
         self._own = self._gamma * np.einsum("pkcc->pk", self._at_rest)
-        place_weights: FloatArray = np.bincount(layout.vertices, np.repeat(self._weights, sizes), len(shapes.neutral))
+        place_weights = layout.total(np.repeat(self._weights, sizes))
         self._weighted: FloatArray = place_weights[:, None] * shapes.neutral
         self._vertex_weights = place_weights
         self._total = float(place_weights.sum())
@@ -227,7 +226,8 @@ def _aligned(
 def _one(
     alpha: FloatArray, rotation: FloatArray, shift: FloatArray, iterations: int, moved: float
 ) -> PatchCoefficients:
-    return PatchCoefficients(alpha[None], rotation[None], shift[None], (iterations,), (moved,))
+    status = Status.CONVERGED if moved < LEAST_STEP else Status.MAX_ITERATIONS
+    return PatchCoefficients(alpha[None], rotation[None], shift[None], (SolveInfo(status, iterations),))
 
 
 def _joined(parts: list[PatchCoefficients], shape: tuple[int, ...]) -> PatchCoefficients:
@@ -237,8 +237,7 @@ def _joined(parts: list[PatchCoefficients], shape: tuple[int, ...]) -> PatchCoef
         np.concatenate([part.alpha for part in parts]),
         np.concatenate([part.rotation for part in parts]),
         np.concatenate([part.shift for part in parts]),
-        tuple(part.iterations[0] for part in parts),
-        tuple(part.moved[0] for part in parts),
+        tuple(part.info[0] for part in parts),
     )
 
 
