@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image, ImageChops
 
 from experiments.artistic import ArtisticStudy, edited, scene
-from experiments.catalogue import composed
+from experiments.catalogue import MethodMaker, composed
 from reports.artistic_sheet import write_artistic_sheet
 from synth_data.makehuman.dataset import MakeHuman
 
@@ -21,7 +21,7 @@ def main() -> None:
     settings = dict(composed("run", ["study=artistic"]).study)
     settings.pop("kind")
     study = ArtisticStudy.from_config(settings)
-    panels = edited(study, scene(study, MakeHuman(identities=2, subdivisions=1).load()))
+    panels = edited(study, scene(study, MethodMaker.of("anacondar"), MakeHuman(identities=2, subdivisions=1).load()))
     for panel in panels:
         print(panel.title, {k: v if isinstance(v, str) else round(float(v), 4) for k, v in panel.numbers.items()})
     path = IMAGES / "artistic_control.png"

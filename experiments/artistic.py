@@ -14,7 +14,7 @@ import pandas as pd
 from rich.console import Console
 
 from experiments.backend import limited_threads
-from experiments.catalogue import make_method, options
+from experiments.catalogue import MethodMaker
 from experiments.progress import Advance, print_path, progress
 from experiments.protocol import draw
 from experiments.study import check_whole
@@ -25,6 +25,7 @@ from retarget.check import InvalidInput
 from retarget.geometry.patches import contiguous_patches
 from retarget.geometry.space_warp import space_warp
 from retarget.io.files import write_whole
+from retarget.rig.blendshapes import Patches
 from retarget.suggest import choose
 from retarget.types import Examples, Fitted, FloatArray, IntArray, Pair, RetargetResult
 from synth_data.dataset import Dataset
@@ -40,8 +41,6 @@ class ArtisticStudy:
     title: str
     description: str
     seed: int
-    method: str
-    template: str
     n_examples: int
     expression: str
     edits: Mapping[str, Mapping[str, Any]]
@@ -53,8 +52,6 @@ class ArtisticStudy:
         check_whole("study.n_examples", study.n_examples, 0)
         if not isinstance(study.edits, Mapping) or not study.edits:
             raise InvalidInput(f"study.edits: expected edits by their titles, got {study.edits!r}.")
-        choose("study.method", study.method, options("method"))
-        choose("study.template", study.template, ("coarse", "paper"))
         return study
 
 
@@ -64,6 +61,7 @@ class Scene:
 
     pair: Pair
     fitted: Fitted
+    patches: Patches  # of the method
     frame: FloatArray  # (1, n, 3) mm of the source
     unedited: RetargetResult
 
@@ -73,10 +71,12 @@ class Scene:
         return np.asarray(self.pair.regions.loops["lip_contour"], dtype=np.int64)
 
 
-def intervene(study: ArtisticStudy, dataset: Dataset, threads: int, folder: Path, console: Console) -> None:
+def intervene(
+    study: ArtisticStudy, make: MethodMaker, dataset: Dataset, threads: int, folder: Path, console: Console
+) -> None:
     """Run the study and write ``summary.csv`` and ``artistic.pdf``."""
     with limited_threads(threads), progress(console, "edits", len(study.edits)) as advance:
-        panels = edited(study, scene(study, dataset), advance)
+        panels = edited(study, scene(study, make, dataset), advance)
     table = pd.DataFrame([{"edit": panel.title, **panel.numbers} for panel in panels])
     write_whole(folder / "summary.csv", lambda path: table.to_csv(path, index=False))
     with tempfile.TemporaryDirectory(prefix="sheet-") as work:
@@ -90,7 +90,7 @@ def intervene(study: ArtisticStudy, dataset: Dataset, threads: int, folder: Path
         print_path(folder / name, console)
 
 
-def scene(study: ArtisticStudy, dataset: Dataset) -> Scene:
+def scene(study: ArtisticStudy, make: MethodMaker, dataset: Dataset) -> Scene:
     """The first identity performs, the second answers."""
     expression = dataset.expressions.index(choose("study.expression", study.expression, dataset.expressions))
     source, target = dataset.identities[:2]
@@ -99,8 +99,9 @@ def scene(study: ArtisticStudy, dataset: Dataset) -> Scene:
     examples = [i for i in order if i != expression][: study.n_examples]
     known = Examples(dataset.frames(target, examples), dataset.frames(source, examples))
     frame = dataset.frames(source, [expression])
-    fitted = make_method(study.method, template=study.template).prepare(pair).fit(known, frame)
-    return Scene(pair, fitted, frame, fitted(frame))
+    fitted = make().prepare(pair).fit(known, frame)
+    patches = contiguous_patches(pair.faces, len(frame[0]), make.settings.get("patch_count", 80))
+    return Scene(pair, fitted, patches, frame, fitted(frame))
 
 
 def edited(study: ArtisticStudy, of: Scene, advance: Advance = lambda count: None) -> list[Panel]:
@@ -134,8 +135,7 @@ def edited(study: ArtisticStudy, of: Scene, advance: Advance = lambda count: Non
 
 def _wanted(of: Scene, edits: Mapping[str, Any], before: FloatArray) -> tuple[IntArray, FloatArray]:
     """Control points on the contour, and the contour (k, 3) mm that they ask for; nothing without any."""
-    patches = contiguous_patches(of.pair.faces, len(before), 80)
-    control = Edits.of(edits, of.pair.regions, patches).control
+    control = Edits.of(edits, of.pair.regions, of.patches).control
     leads = np.isin(control.vertices, of.contour)
     if not leads.any():
         return control.vertices, np.empty((0, 3))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -15,6 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.table import Table
 
+from retarget.check import InvalidInput
 from retarget.suggest import choose
 from retarget.types import Retargeter
 
@@ -35,12 +37,35 @@ def sentence(group: str, name: str) -> str:
     return ""
 
 
-def make_method(name: str, **settings: Any) -> Retargeter:
+@dataclass(frozen=True)
+class MethodMaker:
+    """A method that was chosen, with the settings that it was given; a study may turn some of them."""
+
+    name: str
+    settings: Mapping[str, Any]
+
+    @staticmethod
+    def of(name: str) -> MethodMaker:
+        """The settings of ``conf/method/<name>.yaml``. Raises InvalidInput for an unknown name."""
+        return MethodMaker(name, method_settings(name))
+
+    def __call__(self, **turned: Any) -> Retargeter:
+        """Raises InvalidInput for a method without such a setting."""
+        for setting in turned:
+            if setting not in self.settings:
+                raise InvalidInput(
+                    f"method: this study needs a method with the setting '{setting}', got {self.name}; "
+                    "choose another with 'method=[NAME]', for example 'method=[anacondar]'."
+                )
+        return cast(Retargeter, instantiate(self.settings, **turned))
+
+
+def make_method(name: str, **turned: Any) -> Retargeter:
     """The method of ``conf/method/<name>.yaml``, tuned as there, with some settings changed.
 
-    Raises InvalidInput for an unknown name.
+    Raises InvalidInput for an unknown name or setting.
     """
-    return cast(Retargeter, instantiate(method_settings(name), **settings))
+    return MethodMaker.of(name)(**turned)
 
 
 @cache

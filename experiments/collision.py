@@ -20,7 +20,7 @@ from rich.console import Console
 from scipy.spatial import cKDTree
 
 from experiments.backend import limited_threads
-from experiments.catalogue import make_method, options
+from experiments.catalogue import MethodMaker
 from experiments.lip_depth import LipDepth
 from experiments.progress import Advance, print_path, progress
 from experiments.protocol import draw
@@ -29,7 +29,6 @@ from reports.collision_sheet import Case, write_collision_sheet
 from reports.terminal import print_collisions
 from retarget.check import InvalidInput
 from retarget.io.files import write_whole
-from retarget.suggest import choose
 from retarget.types import Examples, FloatArray, Pair, Status
 from synth_data.dataset import Dataset
 
@@ -45,8 +44,6 @@ class CollisionStudy:
     title: str
     description: str
     seed: int
-    method: str
-    template: str
     n_examples: int
     pairs: int
     expressions: int
@@ -61,19 +58,19 @@ class CollisionStudy:
             check_whole(f"study.{name}", getattr(study, name), least)
         if not (isinstance(study.depth, int | float) and 0 < study.depth < np.inf):
             raise InvalidInput(f"study.depth: expected a positive number of mm, got {study.depth!r}.")
-        choose("study.method", study.method, options("method"))
-        choose("study.template", study.template, ("coarse", "paper"))
         return study
 
 
-def collide(study: CollisionStudy, dataset: Dataset, threads: int, folder: Path, console: Console) -> None:
+def collide(
+    study: CollisionStudy, make: MethodMaker, dataset: Dataset, threads: int, folder: Path, console: Console
+) -> None:
     """Run the study and write ``cases.csv``, ``propagation.csv``, ``summary.csv`` and ``collision.pdf``."""
     chosen = chosen_pairs(dataset.identities, study.pairs)
     cases: list[Case] = []
     counts: dict[tuple[str, str], int] = {}
     with limited_threads(threads), progress(console, "expressions", len(chosen) * study.expressions) as advance:
         for source, target in chosen:
-            found, counts[source, target] = collisions_of(study, dataset, source, target, advance)
+            found, counts[source, target] = collisions_of(study, make, dataset, source, target, advance)
             cases += found
     if not cases:
         raise InvalidInput(
@@ -105,7 +102,12 @@ def chosen_pairs(identities: Sequence[str], count: int) -> list[tuple[str, str]]
 
 
 def collisions_of(
-    study: CollisionStudy, dataset: Dataset, source: str, target: str, advance: Advance = lambda count: None
+    study: CollisionStudy,
+    make: MethodMaker,
+    dataset: Dataset,
+    source: str,
+    target: str,
+    advance: Advance = lambda count: None,
 ) -> tuple[list[Case], int]:
     """The expressions of a pair that make lips cross, and how many were looked at."""
     drawn = draw(source, target, 0, len(dataset.expressions), study.expressions, study.seed)
@@ -118,10 +120,7 @@ def collisions_of(
         )
     known = Examples(dataset.frames(target, examples), dataset.frames(source, examples))
     span = dataset.frames(source, examples)
-    crossing, resolving = (
-        make_method(study.method, template=study.template, collisions=collisions).prepare(pair).fit(known, span)
-        for collisions in (False, True)
-    )
+    crossing, resolving = (make(collisions=collisions).prepare(pair).fit(known, span) for collisions in (False, True))
     depth = LipDepth(pair.target_neutral, pair.faces, pair.regions)
     cases = []
     for test in drawn.test:

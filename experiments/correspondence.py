@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
 
+from baselines.ebfr import ExampleBasedRetargeting
 from experiments.catalogue import make_method, method_settings, options
+from retarget.anacondar import AnaConDaR
 from retarget.check import InvalidInput
-from retarget.embedding import AnimationSpan
+from retarget.embedding import embed_examples
 from retarget.geometry.patches import contiguous_patches
-from retarget.rig.blendshapes import Patches, Ridge, whole_mesh
+from retarget.rig.blendshapes import Patches, Ridge
+from retarget.rig.deformation_transfer import DeformationTransfer, Weighting
+from retarget.rig.ebfr import EbfrSettings, ExampleBasedRigging
 from retarget.suggest import choose
 from retarget.types import Examples, Fitted, FloatArray, Pair, Retargeter, SolveInfo, Status
+
+CORRESPONDENCES = ("given", "embedded", "ebfr", "paper")
 
 
 @dataclass(frozen=True)
@@ -28,19 +34,20 @@ class Known:
     target_examples: FloatArray  # (k, n, 3) mm
     animation: FloatArray  # (N, n, 3) mm: the source's animation
     span: str = ""  # tells animations of one pair apart
+    method: Retargeter | None = None  # that asks; None: a reference
 
 
 @dataclass(frozen=True)
 class Found:
     """What the method is given."""
 
-    examples: FloatArray  # (k, n, 3) mm
+    examples: FloatArray | None  # (k, n, 3) mm, or None: the method needs none
     seconds: float = 0.0  # that a user of these examples alone would wait for them
     solves: tuple[SolveInfo, ...] = ()  # (k,)
 
 
 class Correspondence(Protocol):
-    """Source examples for the cells of one pair. What it does for an expression it does once."""
+    """Source examples for the cells of one pair. What it does for a set of expressions it does once."""
 
     def __call__(self, known: Known) -> Found: ...
 
@@ -68,6 +75,48 @@ class EmbeddingSettings:
         return EmbeddingSettings(make_method(name), config["patch_count"], config["lambda_reg"], config["seed"], facts)
 
 
+@dataclass(frozen=True)
+class RiggingSettings:
+    """`study.rigging`: how example-based facial rigging makes source examples (paper, section 4.2.1).
+
+    deformation_transfer: `area` | `uniform`; all else as in `EbfrSettings`.
+    """
+
+    rules: EbfrSettings
+    deformation_transfer: Weighting
+    facts: Mapping[str, Any] = field(default_factory=dict)  # plain data that decides the numbers
+
+    @staticmethod
+    def from_config(config: Mapping[str, Any]) -> RiggingSettings:
+        """Raises InvalidInput for a setting that is unknown or out of range."""
+        rules = dict(config)
+        weighting = choose("study.rigging.deformation_transfer", rules.pop("deformation_transfer"), Weighting)
+        for name in rules:
+            choose("study.rigging", name, EbfrSettings.__dataclass_fields__)
+        return RiggingSettings(EbfrSettings(**rules), Weighting(weighting), dict(config))
+
+
+def correspondences(
+    pair: Pair, asked: Collection[str], embedding: EmbeddingSettings | None, rigging: RiggingSettings | None
+) -> dict[str, Correspondence]:
+    """Those of `CORRESPONDENCES` that are asked for; what two of them need is made once.
+
+    Raises InvalidInput where settings are missing.
+    """
+    made: dict[str, Correspondence] = {"given": Given()}
+    if {"embedded", "paper"} & set(asked):
+        if embedding is None:
+            raise InvalidInput("study.embedding: expected settings for the correspondence `embedded`, got none.")
+        made["embedded"] = Embedded(pair, embedding)
+    if {"ebfr", "paper"} & set(asked):
+        if rigging is None:
+            raise InvalidInput("study.rigging: expected settings for the correspondence `ebfr`, got none.")
+        made["ebfr"] = Rigged(pair, rigging)
+    if "paper" in asked:
+        made["paper"] = AsPublished(made["embedded"], made["ebfr"])
+    return {name: made[name] for name in asked}
+
+
 class Given:
     """The source performs the same expressions as the examples (paper, section 3.2.1)."""
 
@@ -78,44 +127,49 @@ class Given:
 class Embedded:
     """The target's examples carried over to the source and rebuilt from its animation (paper, section 3.5).
 
-    One expression at a time, so that a result does not depend on what was asked for before.
+    Each is carried once, by itself, so that a result does not depend on what was asked for before.
     """
 
-    def __init__(self, pair: Pair, settings: EmbeddingSettings | None) -> None:
-        if settings is None:
-            raise InvalidInput("study.embedding: expected settings for the correspondence `embedded`, got none.")
+    def __init__(self, pair: Pair, settings: EmbeddingSettings) -> None:
         self._pair, self._settings = pair, settings
         self._carried: dict[str, tuple[FloatArray, SolveInfo, float]] = {}
-        self._spans: dict[str, tuple[AnimationSpan, float]] = {}
-        self._done: dict[tuple[str, str], tuple[FloatArray, float]] = {}
+        self._found: dict[tuple[str, tuple[str, ...]], Found] = {}
 
     def __call__(self, known: Known) -> Found:
         """Raises InvalidInput where the transfer cannot serve the pair, RuntimeError where it fails for an example."""
-        examples, seconds, solves = np.empty_like(known.target_examples), 0.0, []
-        for number, name in enumerate(known.names):
-            _, solve, carrying = self._carry(name, known.target_examples[number])
-            examples[number], fitting = self._embed(name, known)
-            solves.append(solve)
-            seconds += carrying + fitting
-        if len(known.names):
-            seconds += self._transfer[1] + self._spans[known.span][1]
-        return Found(examples, seconds, tuple(solves))
+        asked = known.span, known.names
+        if asked not in self._found:
+            self._found[asked] = self._embed(known)
+        return self._found[asked]
+
+    def _embed(self, known: Known) -> Found:
+        carried = [self._carry(*one) for one in zip(known.names, known.target_examples, strict=True)]
+        start = time.perf_counter()
+        examples = embed_examples(
+            known.target_examples,
+            known.animation,
+            self._pair.source_neutral,
+            lambda _: np.array([frame for frame, _, _ in carried]),
+            self._patches,
+            Ridge(self._settings.lambda_reg),
+        )
+        seconds = time.perf_counter() - start + sum(carrying for _, _, carrying in carried)
+        seconds += self._transfer[1] if carried else 0.0
+        return Found(examples, seconds, tuple(solve for _, solve, _ in carried))
 
     @cached_property
     def _transfer(self) -> tuple[Fitted, float]:
         """From the target to the source, and the seconds of its set-up."""
         start = time.perf_counter()
-        pair = self._pair
-        back = Pair(pair.faces, pair.target_neutral, pair.source_neutral, pair.regions)
-        nothing = np.empty((0, *pair.source_neutral.shape))
-        fitted = self._settings.transfer.prepare(back).fit(Examples(nothing, nothing), nothing)
+        nothing = np.empty((0, *self._pair.source_neutral.shape))
+        fitted = self._settings.transfer.prepare(_back(self._pair)).fit(Examples(nothing, nothing), nothing)
         return fitted, time.perf_counter() - start
 
     @cached_property
-    def _patches(self) -> Patches:
-        count = len(self._pair.source_neutral)
+    def _patches(self) -> Patches | None:
         if self._settings.patch_count is None:
-            return whole_mesh(count)
+            return None
+        count = len(self._pair.source_neutral)
         return contiguous_patches(self._pair.faces, count, self._settings.patch_count, self._settings.seed)
 
     def _carry(self, name: str, example: FloatArray) -> tuple[FloatArray, SolveInfo, float]:
@@ -130,21 +184,57 @@ class Embedded:
             self._carried[name] = result.frames[0], info, time.perf_counter() - start
         return self._carried[name]
 
-    def _embed(self, name: str, known: Known) -> tuple[FloatArray, float]:
-        """Eq. (21)."""
-        if known.span not in self._spans:
-            start = time.perf_counter()
-            ridge = Ridge(self._settings.lambda_reg)
-            span = AnimationSpan(self._pair.source_neutral, known.animation, self._patches, ridge)
-            self._spans[known.span] = span, time.perf_counter() - start
-        if (known.span, name) not in self._done:
-            start = time.perf_counter()
-            embedded = self._spans[known.span][0](self._carried[name][0][None])[0]
-            self._done[known.span, name] = embedded, time.perf_counter() - start
-        return self._done[known.span, name]
+
+class Rigged:
+    """Blendshapes of the source, made from the target's examples by example-based facial rigging.
+
+    The target's examples are the generic rig, and frames of the source's animation the examples: the source's
+    counterparts are those expressions of it that make up its own performance, held to deformation transfer. This is
+    how section 4.2.1 of the paper feeds LBS and ALM; it does not say what the generic rig is.
+    """
+
+    def __init__(self, pair: Pair, settings: RiggingSettings) -> None:
+        self._pair, self._settings = pair, settings
+        self._found: dict[tuple[str, tuple[str, ...]], Found] = {}
+
+    def __call__(self, known: Known) -> Found:
+        """Raises InvalidInput where no example moves: nothing can be made of them."""
+        asked = known.span, known.names
+        if asked not in self._found:
+            self._found[asked] = self._rig(known)
+        return self._found[asked]
+
+    @cached_property
+    def _rigging(self) -> tuple[ExampleBasedRigging, float]:
+        """From the target to the source, and the seconds of its set-up."""
+        start = time.perf_counter()
+        transfer = DeformationTransfer.of(_back(self._pair), self._settings.deformation_transfer)
+        return ExampleBasedRigging(transfer), time.perf_counter() - start
+
+    def _rig(self, known: Known) -> Found:
+        if len(known.names) and not (known.target_examples != self._pair.target_neutral).any():
+            raise InvalidInput("none of the target's examples differs from its neutral.")
+        rigging, preparing = self._rigging
+        start, rules = time.perf_counter(), self._settings.rules
+        rig = rigging.rig(rigging.generic(known.target_examples, rules), known.animation, rules)
+        info = SolveInfo(iterations=rules.alternations, energy=rig.misfit)
+        return Found(rig.shapes, preparing + time.perf_counter() - start, (info,) * len(known.names))
 
 
-CORRESPONDENCES: dict[str, Callable[[Pair, EmbeddingSettings | None], Correspondence]] = {
-    "given": lambda pair, settings: Given(),
-    "embedded": Embedded,
-}
+class AsPublished:
+    """Section 4.2.1 of the paper: AnaConDaR embeds, all other methods are fed by example-based facial rigging.
+
+    As a retargeting method that needs no source examples and is given none.
+    """
+
+    def __init__(self, embedded: Correspondence, rigged: Correspondence) -> None:
+        self._embedded, self._rigged = embedded, rigged
+
+    def __call__(self, known: Known) -> Found:
+        if isinstance(known.method, ExampleBasedRetargeting):
+            return Found(None)
+        return (self._embedded if isinstance(known.method, AnaConDaR) else self._rigged)(known)
+
+
+def _back(pair: Pair) -> Pair:
+    return Pair(pair.faces, pair.target_neutral, pair.source_neutral, pair.regions)

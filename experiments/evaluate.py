@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from experiments.correspondence import CORRESPONDENCES, Correspondence, Found, Known
+from experiments.correspondence import Correspondence, Found, Known, correspondences
 from experiments.memory import peak_memory_mb
 from experiments.metrics.metric import Comparison, Measurement, Metric
 from experiments.protocol import Draw, draw
@@ -90,7 +90,7 @@ def evaluate_pair(task: PairTask) -> int:
     target = _Performer(task.dataset, first.target)
     pair = Pair(task.dataset.faces, source.neutral, target.neutral, task.dataset.regions)
     asked = {cell.correspondence for cell in task.cells}
-    found = {name: make(pair, task.study.embedding) for name, make in CORRESPONDENCES.items() if name in asked}
+    found = correspondences(pair, asked, task.study.embedding, task.study.rigging)
     for row, cells in _by_row(task.cells):
         prepared, prepare_seconds, failure = _prepare(row, pair)
         for cell in cells:
@@ -144,6 +144,7 @@ def _case(study: Study, cell: Cell, pair: Pair, source: _Performer, target: _Per
         target_examples=target.perform(examples),
         animation=source.perform(drawn.test) if five else source.performance,
         span=f"draw {cell.draw}" if five else "animation",
+        method=cell.row.method,
     )
     return _Case(
         problem=RetargetProblem(

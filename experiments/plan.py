@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.correspondence import EmbeddingSettings, RiggingSettings
 from experiments.evaluate import Cell, PairTask
 from experiments.metrics.metric import Comparison, Metric
 from experiments.protocol import check_counts
@@ -85,7 +86,8 @@ def plan(
                 "row": row.name,
                 "settings": dict(row.settings),
                 "correspondence": correspondence,
-                "embedding": dict(study.embedding.facts) if study.embedding and correspondence == "embedded" else None,
+                "embedding": _facts(study.embedding, correspondence in ("embedded", "paper")),
+                "rigging": _facts(study.rigging, correspondence in ("ebfr", "paper")),
                 "pair": [source, target],
                 "n_examples": n_examples,
                 "draw": draw,
@@ -94,6 +96,10 @@ def plan(
             cells.append(Cell(digest(identity)[:20], row, correspondence, source, target, n_examples, draw, keep))
     measured = tuple(metric for metric, _ in metrics.values())
     return Plan(study, dataset, measured, rows, tuple(cells), folder, left_out)
+
+
+def _facts(settings: EmbeddingSettings | RiggingSettings | None, used: bool) -> dict[str, Any] | None:
+    return dict(settings.facts) if settings and used else None
 
 
 def check_dataset(dataset: Dataset) -> None:

@@ -13,6 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from experiments.artistic import ArtisticStudy, intervene
+from experiments.catalogue import MethodMaker
 from experiments.collision import CollisionStudy, collide
 from experiments.compute import compute
 from experiments.metrics.metric import Metric
@@ -92,17 +93,28 @@ def _finished(
 
 def _measure(config: DictConfig, folder: Path, console: Console) -> None:
     study = RuntimeStudy.from_config(_study(config))
-    measure(study, _dataset(config, console), config.backend.threads, folder, console)
+    measure(study, only_method(config), _dataset(config, console), config.backend.threads, folder, console)
 
 
 def _collide(config: DictConfig, folder: Path, console: Console) -> None:
     study = CollisionStudy.from_config(_study(config))
-    collide(study, _dataset(config, console), config.backend.threads, folder, console)
+    collide(study, only_method(config), _dataset(config, console), config.backend.threads, folder, console)
 
 
 def _intervene(config: DictConfig, folder: Path, console: Console) -> None:
     study = ArtisticStudy.from_config(_study(config))
-    intervene(study, _dataset(config, console), config.backend.threads, folder, console)
+    intervene(study, only_method(config), _dataset(config, console), config.backend.threads, folder, console)
+
+
+def only_method(config: DictConfig) -> MethodMaker:
+    """The one method of a study of one. Raises InvalidInput for more."""
+    chosen = dict(_chosen(config, "method"))
+    if len(chosen) != 1:
+        raise InvalidInput(
+            f"method: study {config.study.name} shows one method, got {', '.join(chosen)}; choose it with "
+            "'method=[NAME]'."
+        )
+    return MethodMaker(*chosen.popitem())
 
 
 KINDS: dict[str, Callable[[DictConfig, Path, Console], None]] = {

@@ -17,7 +17,7 @@ import pandas as pd
 from rich.console import Console
 
 from experiments.backend import limited_threads
-from experiments.catalogue import make_method
+from experiments.catalogue import MethodMaker, make_method
 from experiments.memory import peak_memory_mb
 from experiments.progress import Advance, print_path, progress
 from experiments.study import check_whole
@@ -93,7 +93,9 @@ class Engine:
     scale: float  # BB(T) / BB(S)
 
 
-def measure(study: RuntimeStudy, dataset: Dataset, threads: int, folder: Path, console: Console) -> None:
+def measure(
+    study: RuntimeStudy, make: MethodMaker, dataset: Dataset, threads: int, folder: Path, console: Console
+) -> None:
     """Run the study and write ``frames.csv`` and ``summary.csv``."""
     performance = perform(study, dataset)
     template = load_template(dataset.faces, dataset.regions, study.template)
@@ -119,7 +121,8 @@ def measure(study: RuntimeStudy, dataset: Dataset, threads: int, folder: Path, c
             del engine
             console.print("the whole method, from neutrals to frames")
             whole = pd.concat(
-                [retarget(study, performance, collisions, advance) for collisions in (False, True)], ignore_index=True
+                [retarget(study, make, performance, collisions, advance) for collisions in (False, True)],
+                ignore_index=True,
             )
     frames = pd.concat(tables, ignore_index=True)
     summary = summarise(frames).assign(
@@ -214,12 +217,16 @@ def stream(engine: Engine, performance: Performance, advance: Advance = lambda c
 
 
 def retarget(
-    study: RuntimeStudy, performance: Performance, collisions: bool, advance: Advance = lambda count: None
+    study: RuntimeStudy,
+    make: MethodMaker,
+    performance: Performance,
+    collisions: bool,
+    advance: Advance = lambda count: None,
 ) -> pd.DataFrame:
     """AnaConDaR from neutrals and examples on, as a user calls it: one row for each expression of the animation."""
     forget()
     started = time.perf_counter()
-    method = make_method("anacondar", template=study.template, streaming=True, collisions=collisions)
+    method = make(template=study.template, streaming=True, collisions=collisions)
     fitted = method.prepare(performance.pair).fit(performance.examples, performance.frames)
     setup = time.perf_counter() - started
     rows, started = [], time.perf_counter()

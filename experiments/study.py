@@ -9,7 +9,7 @@ from typing import Any
 from hydra.utils import instantiate
 
 from experiments.catalogue import method_settings, options, sentence
-from experiments.correspondence import CORRESPONDENCES, EmbeddingSettings
+from experiments.correspondence import CORRESPONDENCES, EmbeddingSettings, RiggingSettings
 from experiments.references import REFERENCES
 from retarget.check import InvalidInput
 from retarget.suggest import choose
@@ -48,7 +48,8 @@ class Study:
     primary_region: str
     primary_family: tuple[str, ...]
     figures: Figures = field(default_factory=Figures)
-    embedding: EmbeddingSettings | None = None  # of the correspondence `embedded`
+    embedding: EmbeddingSettings | None = None  # of the correspondences `embedded` and `paper`
+    rigging: RiggingSettings | None = None  # of `ebfr` and `paper`
     variants: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # row -> {of: method, setting: value}
     tables: tuple[Measure, ...] = ()
     measures: Mapping[str, tuple[Measure, ...]] = field(default_factory=dict)  # method -> what it is meant to change
@@ -76,9 +77,11 @@ class Study:
             choose("study.correspondence", name, CORRESPONDENCES)
         if not values["correspondence"] or len(set(values["correspondence"])) < len(values["correspondence"]):
             raise InvalidInput(f"study.correspondence: expected different ones, got {values['correspondence']}.")
-        embedding = values.pop("embedding", None)
-        if "embedded" in values["correspondence"] and embedding is not None:
+        embedding, rigging = values.pop("embedding", None), values.pop("rigging", None)
+        if {"embedded", "paper"} & set(values["correspondence"]) and embedding is not None:
             values["embedding"] = EmbeddingSettings.from_config(embedding)
+        if {"ebfr", "paper"} & set(values["correspondence"]) and rigging is not None:
+            values["rigging"] = RiggingSettings.from_config(rigging)
         values["tables"] = _measures("study.tables", values.get("tables", []))
         values["measures"] = {
             name: _measures(f"study.measures.{name}", listed) for name, listed in values.get("measures", {}).items()

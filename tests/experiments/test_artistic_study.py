@@ -11,18 +11,18 @@ import pytest
 from rich.console import Console
 
 from experiments.artistic import ArtisticStudy, intervene
+from experiments.catalogue import MethodMaker
 from retarget.check import InvalidInput
 from tests.conformance.box import heads_are_boxes
 from tests.experiments.block import block
 
 STAY = [0.0, 0.0, 0.0]
+METHOD = MethodMaker.of("anacondar")
 SETTINGS: dict[str, Any] = {
     "name": "artistic",
     "title": "Edits",
     "description": "",
     "seed": 0,
-    "method": "anacondar",
-    "template": "coarse",
     "n_examples": 4,
     "expression": "expression_002",
     "edits": {
@@ -39,7 +39,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("artistic")
     with heads_are_boxes(), pytest.MonkeyPatch.context() as patch:
         patch.setattr("reports.artistic_sheet.SIZE", (96, 72))
-        intervene(ArtisticStudy.from_config(SETTINGS), block(), 1, folder, Console(file=io.StringIO()))
+        intervene(
+            ArtisticStudy.from_config(SETTINGS),
+            METHOD,
+            block(),
+            1,
+            folder,
+            Console(file=io.StringIO()),
+        )
     return folder
 
 
@@ -66,7 +73,6 @@ def test_the_page_is_a_pdf(folder: Path) -> None:
     [
         ({"edits": {}}, "study.edits: expected edits by their titles"),
         ({"n_examples": -1}, "study.n_examples"),
-        ({"template": "fine"}, "coarse"),
     ],
 )
 def test_settings_out_of_range_are_refused(change: dict[str, object], message: str) -> None:
@@ -77,4 +83,4 @@ def test_settings_out_of_range_are_refused(change: dict[str, object], message: s
 def test_an_unknown_expression_is_refused(tmp_path: Path) -> None:
     study = ArtisticStudy.from_config({**SETTINGS, "expression": "expression_02"})
     with heads_are_boxes(), pytest.raises(InvalidInput, match="Did you mean 'expression_002'"):
-        intervene(study, block(), 1, tmp_path, Console(file=io.StringIO()))
+        intervene(study, METHOD, block(), 1, tmp_path, Console(file=io.StringIO()))

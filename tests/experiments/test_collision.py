@@ -10,8 +10,10 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
+from experiments.catalogue import MethodMaker, composed
 from experiments.collision import CollisionStudy, chosen_pairs, collide, deepest
 from experiments.lip_depth import LipDepth
+from experiments.run import only_method
 from reports.collision_sheet import Case
 from reports.section import section
 from retarget.check import InvalidInput
@@ -19,13 +21,12 @@ from retarget.types import Pair
 from tests.conformance.box import heads_are_boxes
 from tests.experiments.block import block
 
+METHOD = MethodMaker.of("anacondar")
 SETTINGS = {
     "name": "collision",
     "title": "Lips",
     "description": "",
     "seed": 0,
-    "method": "anacondar",
-    "template": "coarse",
     "n_examples": 4,
     "pairs": 1,
     "expressions": 4,
@@ -40,7 +41,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("collision")
     with heads_are_boxes(), pytest.MonkeyPatch.context() as patch:
         patch.setattr("reports.collision_sheet.SIZE", (96, 72))
-        collide(CollisionStudy.from_config(SETTINGS), block(), 1, folder, Console(file=io.StringIO()))
+        collide(
+            CollisionStudy.from_config(SETTINGS),
+            METHOD,
+            block(),
+            1,
+            folder,
+            Console(file=io.StringIO()),
+        )
     return folder
 
 
@@ -116,10 +124,29 @@ def test_the_page_shows_the_deepest_of_each_pair_first() -> None:
         ({"pairs": 0}, "study.pairs: expected a whole number of at least 1"),
         ({"expressions": 2.5}, "study.expressions"),
         ({"depth": 0}, "study.depth: expected a positive"),
-        ({"method": "anacondarr"}, "Did you mean 'anacondar'"),
-        ({"template": "fine"}, "coarse"),
     ],
 )
 def test_settings_out_of_range_are_refused(change: dict[str, object], message: str) -> None:
     with pytest.raises(InvalidInput, match=message):
         CollisionStudy.from_config(SETTINGS | change)
+
+
+@pytest.mark.parametrize(
+    ("method", "message"),
+    [("anacondar,plbs", "shows one method, got anacondar, plbs"), ("plbs", "setting 'collisions', got plbs")],
+)
+def test_a_study_of_one_method_says_which_it_cannot_show(method: str, message: str, tmp_path: Path) -> None:
+    config = composed("run", ["study=collision", f"method=[{method}]"])
+
+    def collided() -> None:
+        collide(
+            CollisionStudy.from_config(SETTINGS), only_method(config), block(), 1, tmp_path, Console(file=io.StringIO())
+        )
+
+    with pytest.raises(InvalidInput, match=message):
+        collided()
+
+
+def test_settings_of_the_command_line_reach_the_method() -> None:
+    made = only_method(composed("run", ["study=collision", "method.anacondar.w_target=3.5"]))(collisions=True)
+    assert (vars(made)["w_target"], vars(made)["collisions"]) == (3.5, True)
