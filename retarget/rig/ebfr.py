@@ -233,7 +233,7 @@ class ExampleBasedRigging:
                 f"weights: expected one for each of {len(examples)} examples and {len(generic.moved)} blendshapes, "
                 f"got {prior.shape}."
             )
-        if not len(examples):
+        if not prior.size:
             return Alternation(self, prior, prior, (), ())
         moved, fourth = self._own.motions(examples)
         schedule = list(settings.schedule())

@@ -49,7 +49,9 @@ def literal_step_a(weights: FloatArray, beta: float, settings: EbfrSettings) -> 
         size = np.linalg.norm(generic[:, f].reshape(UNITS, 9), axis=1)
         hold = ((1 + size) / (settings.kappa + size)) ** settings.theta
         rows = np.vstack([weights, np.diag(np.sqrt(beta * hold))])
-        right = np.vstack([wanted[:, f].reshape(-1, 9), np.sqrt(beta * hold)[:, None] * generic[:, f].reshape(UNITS, 9)])
+        right = np.vstack(
+            [wanted[:, f].reshape(-1, 9), np.sqrt(beta * hold)[:, None] * generic[:, f].reshape(UNITS, 9)]
+        )
         solved[f], *_ = np.linalg.lstsq(rows, right, rcond=None)
     return solved
 
