@@ -119,10 +119,10 @@ class LandmarkTransfer:
         follow = metric  # of T - Q
         if weights.regularity == Regularity.DEFORMATION:
             metric, follow = metric + weights.w_identity * identity, weights.w_data * identity
+        self._w_landmarks, self._w_back = (w / weights.length_mm**2 for w in (weights.w_landmarks, weights.w_back))
         held = np.zeros(n + f)
-        np.add.at(held, self._landmarks, weights.w_landmarks / weights.length_mm**2)
-        np.add.at(held, self._back, weights.w_back / weights.length_mm**2)
-        self._held = held[:n]
+        np.add.at(held, self._landmarks, self._w_landmarks)
+        held[self._back] += self._w_back
         self._from_gradients = (own.T @ follow).tocsr()
         system = own.T @ metric @ own + sp.diags_array(held)
         self._factor = CholeskyFactor(system, "landmark-guided deformation transfer")
@@ -147,11 +147,11 @@ class LandmarkTransfer:
         moved = by_vertex - self.source[:, None]
         fourth = fourth_edges(by_vertex, self.faces) - self._source_fourth[:, None]
         gradients = self._source_gradient @ np.concatenate([moved, fourth]).reshape(-1, 3 * t)
-        places = np.zeros_like(moved)
-        places[self._back] = self.size_ratio * moved[self._back]
-        places[self._landmarks] = self.wanted(frames).transpose(1, 0, 2)
         rhs = self._from_gradients @ gradients
-        rhs[:n] += self._held[:, None] * places.reshape(n, -1)
+        wanted = self.wanted(frames).transpose(1, 0, 2).reshape(-1, 3 * t)
+        np.add.at(rhs, self._landmarks, self._w_landmarks * wanted)
+        # differs from the paper: the back of the head moves as the source's does, times the ratio of sizes, not 0
+        rhs[self._back] += self._w_back * self.size_ratio * moved[self._back].reshape(-1, 3 * t)
         solved: FloatArray = self._factor.solve(rhs)[:n].reshape(n, t, 3).transpose(1, 0, 2)
         return solved
 
