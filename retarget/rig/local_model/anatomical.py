@@ -84,7 +84,8 @@ class AnatomicalLocalModel:
         weights = np.zeros((len(alpha), patches.width))
         for row, own, mixing in zip(weights, alpha, self._mixing, strict=True):
             row[: mixing.shape[1]] = own @ mixing
-        start, shifts = _placed(patches.shaped(weights), wanted, layout)
+        still = np.broadcast_to(np.eye(3), (len(alpha), 3, 3)), np.zeros((len(alpha), 3))
+        start, shifts = _placed(patches.shown(weights, *still)[0], wanted, layout)
         state = np.hstack([np.zeros_like(shifts), shifts, weights])  # turn after `start`, shift, weights
         pulls = Pulls(wanted, self.settings.lambda_data, self.settings.lambda_anatomy, self._stitch, self._products)
         accelerate, factors = Anderson(DEPTH), patches.factors()
@@ -93,8 +94,7 @@ class AnatomicalLocalModel:
         moved = np.inf
         while True:
             turns = start @ Rotation.from_rotvec(state[:, :3]).as_matrix()
-            local = patches.shaped(state[:, 6:])
-            x = patches.placed(turns, state[:, 3:6], local)
+            local, x = patches.shown(state[:, 6:], turns, state[:, 3:6])
             mean = layout.mean(x)
             moved = np.inf if before is None else float(np.abs(mean - before).max())
             if moved < LEAST_STEP or len(energies) == ITERATIONS:
@@ -116,7 +116,7 @@ class AnatomicalLocalModel:
 def _patch(
     neutral: FloatArray, shapes: FloatArray, over: IntArray, known: FloatArray, place: IntArray
 ) -> tuple[Patch, FloatArray]:
-    """A patch of members (n_p, 3), (k, n_p, 3) mm, of which `over` lie over bone: at place (n_p,) of known (K, 7, a)."""
+    """A patch of members (n_p, 3), (k, n_p, 3) mm; those `over` bone are at place (n_p,) of known (K, 7, a)."""
     rest = neutral - neutral.mean(axis=0)
     change = np.array([_without_motion(shape, rest) - rest for shape in shapes]).reshape(len(shapes), *rest.shape)
     lying = known[:, :, place[over]].transpose(0, 2, 1)  # (K, a_p, 7)

@@ -56,17 +56,14 @@ class Patches:
         self._slopes = np.concatenate([patch.slopes.ravel() for patch in patches])
         self.width = int(self.ranks.max(initial=0))
 
-    def shaped(self, weights: FloatArray) -> FloatArray:
-        """(m, 3) mm, each patch in its own frame, for weights (P, width) of its directions."""
-        local = self._rest.copy()
-        _shape(weights, self.ranks, self._starts, self._direction_starts, self._directions, local)
-        return local
+    def shown(self, weights: FloatArray, turns: FloatArray, shifts: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(m, 3) mm of the patches in their own frames, and where eq. (3) puts them.
 
-    def placed(self, turns: FloatArray, shifts: FloatArray, local: FloatArray) -> FloatArray:
-        """(m, 3) mm: eq. (3) with turns (P, 3, 3) and shifts (P, 3) mm."""
-        x = np.empty_like(local)
-        _place(turns, shifts, self._starts, local, x)
-        return x
+        For weights (P, width) of the directions, turns (P, 3, 3) and shifts (P, 3) mm.
+        """
+        local, x = self._rest.copy(), np.empty_like(self._rest)
+        _show(weights, turns, shifts, self.ranks, self._starts, self._direction_starts, self._directions, local, x)
+        return local, x
 
     def products(self, weights: FloatArray) -> FloatArray:
         """(P, width, width) of the directions, for weights (m,) of the places."""
@@ -113,7 +110,7 @@ def _starts(sizes: Sequence[int]) -> IntArray:
 
 
 @njit(cache=True, parallel=True, fastmath=FUSE)
-def _shape(weights, ranks, starts, direction_starts, directions, local):  # type: ignore[no-untyped-def]
+def _show(weights, turns, shifts, ranks, starts, direction_starts, directions, local, x):  # type: ignore[no-untyped-def]
     flat = local.reshape(-1)
     for p in prange(len(ranks)):
         first, size = 3 * starts[p], 3 * (starts[p + 1] - starts[p])
@@ -121,19 +118,10 @@ def _shape(weights, ranks, starts, direction_starts, directions, local):  # type
             w, offset = weights[p, k], direction_starts[p] + k * size
             for i in range(size):
                 flat[first + i] += w * directions[offset + i]
-
-
-@njit(cache=True, parallel=True, fastmath=FUSE)
-def _place(turns, shifts, starts, local, x):  # type: ignore[no-untyped-def]
-    for p in prange(len(turns)):
         for v in range(starts[p], starts[p + 1]):
-            for c in range(3):
-                x[v, c] = (
-                    turns[p, c, 0] * local[v, 0]
-                    + turns[p, c, 1] * local[v, 1]
-                    + turns[p, c, 2] * local[v, 2]
-                    + shifts[p, c]
-                )
+            a, b, c = local[v, 0], local[v, 1], local[v, 2]
+            for i in range(3):
+                x[v, i] = turns[p, i, 0] * a + turns[p, i, 1] * b + turns[p, i, 2] * c + shifts[p, i]
 
 
 @njit(cache=True, parallel=True)
