@@ -12,6 +12,9 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
+from experiments.alm_leave_out import LeaveOutStudy, leave_out
+from experiments.alm_overlap import OverlapStudy, vary
+from experiments.alm_shapes import ShapesStudy, grow
 from experiments.artistic import ArtisticStudy, intervene
 from experiments.catalogue import MethodMaker
 from experiments.collision import CollisionStudy, collide
@@ -117,12 +120,30 @@ def only_method(config: DictConfig) -> MethodMaker:
     return MethodMaker(*chosen.popitem())
 
 
+def _grow(config: DictConfig, folder: Path, console: Console) -> None:
+    study = ShapesStudy.from_config(_study(config))
+    grow(study, _dataset(config, console), config.backend.threads, folder, console)
+
+
+def _vary(config: DictConfig, folder: Path, console: Console) -> None:
+    study = OverlapStudy.from_config(_study(config))
+    vary(study, _dataset(config, console), config.backend.threads, folder, console)
+
+
+def _leave_out(config: DictConfig, folder: Path, console: Console) -> None:
+    study = LeaveOutStudy.from_config(_study(config))
+    leave_out(study, _dataset(config, console), config.backend.threads, folder, console)
+
+
 KINDS: dict[str, Callable[[DictConfig, Path, Console], None]] = {
     "comparison": _compare,
     "tuning": _tune,
     "runtime": _measure,
     "collision": _collide,
     "artistic": _intervene,
+    "alm_shapes": _grow,
+    "alm_overlap": _vary,
+    "alm_leave_out": _leave_out,
 }
 
 

@@ -34,7 +34,9 @@ class SkinOverBone:
     def of(shapes: FloatArray, vertices: IntArray, bone: Surface) -> SkinOverBone:
         """Shapes (K, n, 3) mm of the skin, over a bone that does not move."""
         skin = shapes[:, vertices]
-        below = np.array([closest(bone, points) for points in skin]).reshape(skin.shape)
+        below = np.repeat(closest(bone, skin[0])[None], len(skin), axis=0)
+        moved = np.abs(skin - skin[0]).max(axis=2) > _TOUCHING  # the search is slow, and most skin there is still
+        below[moved] = closest(bone, skin[moved])
         up = skin - below
         thickness = np.linalg.norm(up, axis=2)
         touching = thickness < _TOUCHING
