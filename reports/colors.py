@@ -21,9 +21,10 @@ _OKABE_ITO = (
     "#8C564B",
     "#222222",
 )
+COLORS = len(_OKABE_ITO)
 REFERENCE_ROW = "#9A9A9A"
 
 
 def method_color(index: int) -> str:
-    """The colour of the index-th compared method, after Okabe and Ito (2008)."""
-    return _OKABE_ITO[index % len(_OKABE_ITO)]
+    """The colour of the index-th compared method, after Okabe and Ito (2008); they repeat after `COLORS`."""
+    return _OKABE_ITO[index % COLORS]

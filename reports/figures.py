@@ -17,11 +17,13 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedFormatter, FixedLocator, NullFormatter, NullLocator
 
 from reports.cells import blocks
-from reports.colors import REFERENCE_ROW, method_color
+from reports.colors import COLORS, REFERENCE_ROW, method_color
 from reports.load import MethodFacts, StudyResults
 from retarget.types import FloatArray
 
 WIDTH = 170 / 25.4  # inches: the text width of the report
+LEGEND_COLUMNS = 5
+MARKERS, HATCHES = ("o", "s", "^"), ("", "/////", ".....")  # of methods beyond the colours
 STYLE: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 7.5,
@@ -59,8 +61,9 @@ def box_plot(study: StudyResults, path: Path) -> None:
     """Errors grouped by example count, one box per method over pairs, as in Fig. 10; each pair is a dot."""
     values, methods = pair_values(study), _drawn(study)
     counts = study.facts["n_examples"]
-    with canvas(path, WIDTH, 3.25) as figure:
-        axes = figure.add_axes((0.095, 0.22, 0.9, 0.75))
+    legend = _legend_height(methods)
+    with canvas(path, WIDTH, 2.8 + legend) as figure:
+        axes = figure.add_axes(_above(figure, legend + 0.25))
         step = 0.84 / max(len(methods), 1)
         for group, count in enumerate(counts):
             for i, m in enumerate(methods):
@@ -69,7 +72,7 @@ def box_plot(study: StudyResults, path: Path) -> None:
                 if len(here) == 0:
                     axes.text(at, 0, "no result", rotation=90, ha="center", va="bottom", fontsize=6, color="#a3216f")
                     continue
-                _box(axes, at, step * 0.72, here, _color(study, m))
+                _box(axes, at, step * 0.72, here, _color(study, m), _turn(study, m))
         for edge in range(1, len(counts)):
             axes.axvline(edge - 0.5, color="#dddddd", lw=0.6, zorder=0)
         axes.set_xlim(-0.5, len(counts) - 0.5)
@@ -85,8 +88,9 @@ def box_plot(study: StudyResults, path: Path) -> None:
 def example_effect(study: StudyResults, path: Path) -> None:
     """Mean error with its 95 % interval over the number of examples, on a logarithmic scale that holds the methods."""
     primary, methods, counts = study.primary, _drawn(study), study.facts["n_examples"]
-    with canvas(path, WIDTH, 2.75) as figure:
-        axes = figure.add_axes((0.095, 0.29, 0.9, 0.67))
+    legend = _legend_height(methods)
+    with canvas(path, WIDTH, 2.25 + legend) as figure:
+        axes = figure.add_axes(_above(figure, legend + 0.4))
         spread = 0.3 / max(len(methods), 1)
         lows, highs = [], []
         for i, m in enumerate(methods):
@@ -98,7 +102,7 @@ def example_effect(study: StudyResults, path: Path) -> None:
             at = np.arange(len(counts)) + (i - (len(methods) - 1) / 2) * spread
             color = _color(study, m)
             style = "--" if m.kind == "reference" else "-"
-            axes.plot(at, mean, style, marker="o", ms=3, lw=1.0, color=color)
+            axes.plot(at, mean, style, marker=MARKERS[_turn(study, m)], ms=3, lw=1.0, color=color)
             axes.vlines(at, low, high, color=color, lw=1.0)
             if m.kind != "reference":
                 lows.append(np.nanmin(np.where(low > 0, low, mean)))
@@ -164,14 +168,14 @@ def ratio_plot(study: StudyResults, tests: pd.DataFrame, path: Path) -> None:
         )
 
 
-def _box(axes: Axes, at: float, width: float, values: FloatArray, color: str) -> None:
+def _box(axes: Axes, at: float, width: float, values: FloatArray, color: str, turn: int) -> None:
     axes.boxplot(
         [values],
         positions=[at],
         widths=width,
         showfliers=False,
         patch_artist=True,
-        boxprops={"facecolor": color, "alpha": 0.38, "edgecolor": color, "linewidth": 0.8},
+        boxprops={"facecolor": color, "alpha": 0.38, "edgecolor": color, "linewidth": 0.8, "hatch": HATCHES[turn]},
         medianprops={"color": "#111111", "linewidth": 1.1},
         whiskerprops={"color": color, "linewidth": 0.8},
         capprops={"color": color, "linewidth": 0.8},
@@ -196,6 +200,14 @@ def _color(study: StudyResults, method: MethodFacts) -> str:
     return method_color([m.name for m in study.methods if m.kind != "reference"].index(method.name))
 
 
+def _turn(study: StudyResults, method: MethodFacts) -> int:
+    """How often the colours were gone through before this method: it has another marker and hatch then."""
+    if method.kind == "reference":
+        return 0
+    index = [m.name for m in study.methods if m.kind != "reference"].index(method.name)
+    return min(index // COLORS, len(MARKERS) - 1)
+
+
 def _error_name(study: StudyResults) -> str:
     metric = study.facts["primary_metric"]
     name = "vertex error, L2" if metric == "vertex_l2_mean" else metric.replace("_", " ")
@@ -203,12 +215,30 @@ def _error_name(study: StudyResults) -> str:
     return f"{name} ({units[0]})" if len(units) else name
 
 
+def _legend_height(methods: list[MethodFacts]) -> float:
+    """Inches."""
+    return 0.1 + 0.17 * -(-len(methods) // LEGEND_COLUMNS)
+
+
+def _above(figure: Figure, bottom: float) -> tuple[float, float, float, float]:
+    """A place for axes that leaves `bottom` inches below."""
+    height = figure.get_figheight()
+    return 0.095, bottom / height, 0.9, 1 - (bottom + 0.08) / height
+
+
 def _legend(figure: Figure, study: StudyResults, methods: list[MethodFacts]) -> None:
-    rows = -(-len(methods) // 5)
+    rows = -(-len(methods) // LEGEND_COLUMNS)
     columns = -(-len(methods) // max(rows, 1))
     by_column = [m for column in range(columns) for m in methods[column::columns]]  # matplotlib fills columns first
     handles = [
-        Patch(facecolor=_color(study, m), alpha=0.6, edgecolor=_color(study, m), label=m.label) for m in by_column
+        Patch(
+            facecolor=_color(study, m),
+            alpha=0.6,
+            edgecolor=_color(study, m),
+            label=m.label,
+            hatch=HATCHES[_turn(study, m)],
+        )
+        for m in by_column
     ]
     figure.legend(
         handles=handles,
