@@ -7,6 +7,8 @@ and units that one face cannot do together exclude each other.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from retarget.types import FloatArray
@@ -14,8 +16,8 @@ from synth_data.arkit import SKIN_NAMES
 
 # Each part of the face: how often it is active, and its gestures (frequency, peak, units with their share).
 # A gesture named without a side is done by both sides, nearly alike.
-_Gesture = tuple[float, float, dict[str, float]]
-PARTS: dict[str, tuple[float, tuple[_Gesture, ...]]] = {
+Gesture = tuple[float, float, dict[str, float]]
+PARTS: dict[str, tuple[float, tuple[Gesture, ...]]] = {
     "jaw": (0.75, (
         (6.0, 0.75, {"jawOpen": 1.0}),
         (1.5, 0.60, {"jawOpen": 1.0, "jawForward": 0.5}),
@@ -109,36 +111,49 @@ def sparse_weights(count: int, seed: int = 0) -> FloatArray:
 
 
 _STREAM = 3  # of the seed
-_COLUMN = {name: i for i, name in enumerate(SKIN_NAMES)}
+COLUMN = {name: i for i, name in enumerate(SKIN_NAMES)}
 
 
 def _expression(rng: np.random.Generator) -> FloatArray:
     """(51,) one gesture, or none, of each part of the face."""
     row = np.zeros(len(SKIN_NAMES))
     for frequency, gestures in PARTS.values():
-        if rng.random() > frequency:
-            continue
-        odds = np.array([gesture[0] for gesture in gestures])
-        _, peak, units = gestures[rng.choice(len(gestures), p=odds / odds.sum())]
-        strength = peak * rng.beta(1.6, 1.3)
-        alone = rng.choice(["Left", "Right"]) if rng.random() < ONE_SIDED else None
-        for name, share in units.items():
-            amount = strength * share * np.exp(rng.normal(0, 0.15))
-            if name in _COLUMN:
-                _raise(row, name, amount)
-                continue
-            for side, tilt in (("Left", rng.normal(0, SIDES_DIFFER)), ("Right", rng.normal(0, SIDES_DIFFER))):
-                if alone is None or side == alone:
-                    _raise(row, name + side, amount * (1 + tilt))
+        if rng.random() <= frequency:
+            row = np.maximum(row, draw_gesture(rng, gestures))
     row[row < 0.02] = 0.0
+    return possible(row).round(4)
+
+
+def draw_gesture(
+    rng: np.random.Generator, gestures: Sequence[Gesture], one_sided: float = ONE_SIDED, differ: float = SIDES_DIFFER
+) -> FloatArray:
+    """(51,) one of the gestures, of a random strength; where several of its units are one, the strongest counts."""
+    row = np.zeros(len(SKIN_NAMES))
+    odds = np.array([gesture[0] for gesture in gestures])
+    _, peak, units = gestures[rng.choice(len(gestures), p=odds / odds.sum())]
+    strength = peak * rng.beta(1.6, 1.3)
+    alone = rng.choice(["Left", "Right"]) if rng.random() < one_sided else None
+    for name, share in units.items():
+        amount = strength * share * np.exp(rng.normal(0, 0.15))
+        if name in COLUMN:
+            _raise(row, name, amount)
+            continue
+        for side, tilt in (("Left", rng.normal(0, differ)), ("Right", rng.normal(0, differ))):
+            if alone is None or side == alone:
+                _raise(row, name + side, amount * (1 + tilt))
+    return row
+
+
+def possible(rows: FloatArray) -> FloatArray:
+    """(..., 51) the rows with `EXCLUSIVE` units scaled to a sum of 1 and mouthClose lowered to jawOpen."""
+    rows = rows.copy()
     for names in EXCLUSIVE:
-        columns = [_COLUMN[name] for name in names]
-        row[columns] /= max(1.0, row[columns].sum())
-    row[_COLUMN["mouthClose"]] = min(row[_COLUMN["mouthClose"]], row[_COLUMN["jawOpen"]])
-    return row.round(4)
+        columns = [COLUMN[name] for name in names]
+        rows[..., columns] /= np.maximum(1.0, rows[..., columns].sum(axis=-1, keepdims=True))
+    close, jaw = COLUMN["mouthClose"], COLUMN["jawOpen"]
+    rows[..., close] = np.minimum(rows[..., close], rows[..., jaw])
+    return rows
 
 
 def _raise(row: FloatArray, name: str, amount: float) -> None:
-    """Several gestures may name one unit: the strongest counts."""
-    column = _COLUMN[name]
-    row[column] = min(1.0, max(row[column], amount))
+    row[COLUMN[name]] = min(1.0, max(row[COLUMN[name]], amount))
