@@ -1,0 +1,1 @@
+"""Personal expressions: a generator of skin positions from muscles, a jaw and lids that no compared method implements."""

@@ -1,0 +1,140 @@
+"""Lids that turn about the eyeball: the sphere of the socket and the axis through both corners of the eye."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from retarget.geometry.graph import components, vertex_adjacency
+from retarget.types import FloatArray, IntArray, Regions
+from synth_data.personal.frame import Frame
+from synth_data.personal.shares import Skin, smoothstep
+
+SLIT = 0.2  # mm that stay open between shut lids, so that they touch without crossing
+WIDE, UP, DOWN = 0.16, 0.10, 0.10  # radians: lids of a stare, of the upper lid when looking up, of the lower when down
+MERIDIANS = 41
+SHAPE = 0.8  # exponent of the shares: below 1 the lid moves as a plate and folds near the orbit
+
+
+@dataclass(frozen=True)
+class LidAction:
+    """How far the lids of one eye are moved, each in [0, 1]."""
+
+    shut: float = 0.0  # share of the opening that is closed
+    lower: float = 0.0  # share of the opening by which the lower lid rises, at most 0.6
+    wide: float = 0.0
+    up: float = 0.0
+    down: float = 0.0
+
+
+@dataclass(frozen=True)
+class Lids:
+    """The lids of one eye. Angles are about the axis, 0 straight ahead and positive upward."""
+
+    centre: FloatArray  # (3,) mm of the eyeball
+    radius: float  # mm
+    axes: FloatArray  # (3, 3) rows: along the corners, up, ahead
+    vertices: IntArray  # (m,) that move
+    upper: FloatArray  # (m,) share in the upper lid's turn
+    lower: FloatArray  # (m,)
+    opening: FloatArray  # (m,) radians between the lids on each vertex's meridian
+    crease: FloatArray  # (m,) mm by which lid skin stands off the sphere that its margin moves on
+
+    def __call__(self, neutral: FloatArray, action: LidAction) -> FloatArray:
+        """(m, 3) mm: displacement of `vertices` of the neutral (n, 3)."""
+        at = (neutral[self.vertices] - self.centre) @ self.axes.T
+        radius, angle = np.hypot(at[:, 1], at[:, 2]), np.arctan2(at[:, 1], at[:, 2])
+        rise = np.minimum(action.lower, 0.6) * self.opening
+        drop = action.shut * (self.opening - rise)
+        fade = smoothstep(self.opening / 0.3)  # towards the corners
+        turn = self.upper * ((WIDE * action.wide + UP * action.up) * fade - drop)
+        turn += self.lower * (rise - (0.5 * WIDE * action.wide + DOWN * action.down) * fade)
+        unfolded = radius - 0.6 * self.upper * action.shut * self.crease
+        moved = np.column_stack([at[:, 0], unfolded * np.sin(angle + turn), unfolded * np.cos(angle + turn)])
+        return (moved - at) @ self.axes
+
+
+def lids_of(vertices: FloatArray, faces: IntArray, regions: Regions, skin: Skin, frame: Frame, side: str) -> Lids:
+    """The lids of the "left" or "right" eye of a neutral (n, 3) mm."""
+    margin = regions.loops[f"lid_margin_{side}"]
+    upper, lower = regions.vertices[f"lid_margin_upper_{side}"], regions.vertices[f"lid_margin_lower_{side}"]
+    socket, rim = _socket_and_rim(vertices, faces, regions, side)
+    centre, radius = fit_sphere(vertices[socket])
+    along = frame.marks[f"exocanthion_{side}"] - frame.marks[f"endocanthion_{side}"]
+    along /= np.linalg.norm(along)
+    ahead = vertices[margin].mean(axis=0) - centre
+    ahead -= (ahead @ along) * along
+    ahead /= np.linalg.norm(ahead)
+    up = np.cross(ahead, along)
+    axes = np.stack([along, up * np.sign(up @ frame.up), ahead])
+
+    at = (vertices - centre) @ axes.T
+    distance, angle = np.hypot(at[:, 1], at[:, 2]), np.arctan2(at[:, 1], at[:, 2])
+    nearest = cKDTree(vertices[np.concatenate([upper, lower])]).query(vertices[rim])[1]
+    above = np.union1d(rim[nearest < len(upper)], upper)
+    below = np.union1d(rim[nearest >= len(upper)], lower)
+    grid = np.linspace(at[margin, 0].min(), at[margin, 0].max(), MERIDIANS)
+    window = 0.08 * (grid[-1] - grid[0])
+    low = _envelope(grid, at[above, 0], angle[above], window)
+    high = -_envelope(grid, at[below, 0], -angle[below], window)
+    to_corner = np.minimum(grid - grid[0], grid[-1] - grid) / window
+    gap = np.maximum(low - high - SLIT / radius, 0.0) * smoothstep(to_corner)
+
+    deep = socket[at[socket, 2] < 0.6 * radius]
+    fixed = np.full(len(vertices), 0.0)
+    fixed[np.concatenate([regions.vertices[f"eye_{side}"], socket])] = np.nan
+    fixed[np.concatenate([regions.loops[f"eye_socket_{side}"], deep])] = 0.0
+    shares = []
+    for moving, still in ((above, below), (below, above)):
+        values = fixed.copy()
+        values[still], values[moving] = 0.0, 1.0
+        share = skin.harmonic(values)
+        shares.append(np.where(np.isin(np.arange(len(vertices)), moving), 1.0, share**SHAPE))
+    moved = np.flatnonzero(shares[0] + shares[1] > 0)
+    order = np.argsort(at[upper, 0])
+    on_margin = np.interp(at[moved, 0], at[upper[order], 0], distance[upper[order]])
+    return Lids(
+        centre=centre,
+        radius=radius,
+        axes=axes,
+        vertices=moved,
+        upper=shares[0][moved],
+        lower=shares[1][moved],
+        opening=np.interp(at[moved, 0], grid, gap),
+        crease=np.maximum(distance[moved] - on_margin, 0.0),
+    )
+
+
+def fit_sphere(points: FloatArray) -> tuple[FloatArray, float]:
+    """Centre (3,) and radius of the sphere through points (m, 3), by linear least squares."""
+    middle = points.mean(axis=0)
+    away = points - middle
+    solution = np.linalg.lstsq(np.column_stack([2 * away, np.ones(len(away))]), (away**2).sum(axis=1), rcond=None)[0]
+    return middle + solution[:3], float(np.sqrt(solution[3] + solution[:3] @ solution[:3]))
+
+
+def _socket_and_rim(vertices: FloatArray, faces: IntArray, regions: Regions, side: str) -> tuple[IntArray, IntArray]:
+    """The vertices behind the lids, and those of the rims between the margins and the socket."""
+    margin, inside = regions.loops[f"lid_margin_{side}"], np.setdiff1d(np.arange(len(vertices)), regions.vertices["head"])
+    adjacency = vertex_adjacency(faces, len(vertices))
+    parts = [inside[part] for part in components(adjacency[inside][:, inside])]
+    eye = vertices[margin].mean(axis=0)
+    socket = min(parts, key=lambda part: float(np.linalg.norm(vertices[part].mean(axis=0) - eye)))
+    skin = np.setdiff1d(regions.vertices[f"eye_{side}"], margin)
+    rims = [
+        skin[part]
+        for part in components(adjacency[skin][:, skin])
+        if not np.isin(skin[part], regions.loops[f"eye_socket_{side}"]).any()
+    ]
+    return socket, np.concatenate(rims)
+
+
+def _envelope(grid: FloatArray, place: FloatArray, angle: FloatArray, window: float) -> FloatArray:
+    """The lowest angle near each place of the grid, smoothed."""
+    apart = np.abs(grid[:, None] - place)
+    near = apart <= np.maximum(window, apart.min(axis=1, keepdims=True))
+    lowest = np.where(near, angle, np.inf).min(axis=1)
+    weight = np.exp(-0.5 * ((grid[:, None] - grid) / window) ** 2)
+    return np.asarray(weight @ lowest / weight.sum(axis=1))

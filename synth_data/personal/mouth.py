@@ -1,0 +1,111 @@
+"""The ring muscle of the mouth: pursing, funnelling, pressing and rolling lips, and cheeks that are blown up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from retarget.types import FloatArray, Regions
+from synth_data.personal.frame import Frame
+from synth_data.personal.shares import smoothstep
+
+DISC = 1.05, 0.85  # extent of the oral disc beside and above the mouth, in half widths of the mouth
+DEPTH = 22.0  # mm behind the lips to where the disc reaches into the mouth
+LIP = 5.0  # mm from where the lips meet over which rolling and pressing act
+CHEEK = 17.0  # mm, extent of a blown cheek
+
+PURSE_NARROWS, FUNNEL_NARROWS, ROLL_NARROWS = 0.40, 0.24, 0.06  # relative shortening of the mouth
+PURSE_AHEAD, FUNNEL_AHEAD, PUFF = 7.0, 6.0, 11.0  # mm outward
+FUNNEL_UP, FUNNEL_DOWN = 3.6, 4.6  # mm that the lips part
+SHIFT = 8.0  # mm, mouthLeft and mouthRight
+SHRUG_UP, SHRUG_AHEAD = 3.2, 1.6  # mm
+ROLL_IN, ROLL_OVER = 4.5, 1.6  # mm that the red lip goes in, and that the skin above follows it
+PRESS = 1.8  # mm that the borders of the lips approach
+
+
+@dataclass(frozen=True)
+class Mouth:
+    """Fields of the lips on one neutral, all (n,) unless stated; the disc is 1 on the lips and 0 away from them."""
+
+    frame: Frame
+    centre: FloatArray  # (3,) mm, the middle between the corners
+    half_width: float  # mm
+    disc: FloatArray
+    lips: FloatArray  # 1 on the red of the lips
+    inner: FloatArray  # 1 where the lips meet
+    border: FloatArray  # 1 on the vermilion border
+    upper: FloatArray  # 1 on the upper lip, 0 on the lower one
+    middle: FloatArray  # 1 at the midline, 0 at the corners
+    cheeks: tuple[FloatArray, FloatArray]  # left and right
+
+    def along(self, at: FloatArray, w: dict[str, float]) -> FloatArray:
+        """(n, 3) mm: how the skin at (n, 3) slides for contractions w by face unit."""
+        local = self.frame.local(at - self.centre)
+        narrow = PURSE_NARROWS * w["mouthPucker"] + FUNNEL_NARROWS * w["mouthFunnel"]
+        narrow += ROLL_NARROWS * (w["mouthRollUpper"] + w["mouthRollLower"])
+        out = np.zeros_like(at)
+        out[:, 0] = -narrow * self.disc * local[:, 0] * np.exp(-0.5 * (local[:, 0] / (1.6 * self.half_width)) ** 2)
+        out[:, 0] += SHIFT * (w["mouthLeft"] - w["mouthRight"]) * self.disc
+        lower = 1 - self.upper
+        rise = w["mouthFunnel"] * self.middle * self.lips * (FUNNEL_UP * self.upper - FUNNEL_DOWN * lower)
+        rise += SHRUG_UP * w["mouthShrugUpper"] * self.disc * self.upper
+        rise += 0.8 * SHRUG_UP * w["mouthShrugLower"] * self.disc * self.upper  # the lower lip lifts the upper one
+        out[:, 1] = rise
+        return self.frame.world(out)
+
+    def outward(self, w: dict[str, float]) -> FloatArray:
+        """(n,) mm outward from the face."""
+        ahead = (PURSE_AHEAD * w["mouthPucker"] + FUNNEL_AHEAD * w["mouthFunnel"]) * self.lips * self.disc
+        ahead += SHRUG_AHEAD * (w["mouthShrugUpper"] * self.upper + w["mouthShrugLower"]) * self.lips
+        puffed = PUFF * w["cheekPuff"] * (self.cheeks[0] + self.cheeks[1])
+        return np.asarray(ahead + puffed)
+
+    def lip_motion(self, w: dict[str, float], press: tuple[float, float], sideness: FloatArray) -> FloatArray:
+        """(n, 3) mm: rolling and pressing, which leave the surface that skin slides over.
+
+        press is that of the left and the right half, sideness (n,) 1 on the left and 0 on the right.
+        """
+        pressed = press[0] * sideness + press[1] * (1 - sideness)
+        roll = w["mouthRollUpper"] * self.upper + w["mouthRollLower"] * (1 - self.upper)
+        towards = 1 - 2 * self.upper  # down on the upper lip, up on the lower one
+        out = np.zeros((len(self.disc), 3))
+        out[:, 1] = towards * self.border * (ROLL_OVER * roll + PRESS * pressed) * (0.3 + 0.7 * self.middle)
+        out[:, 2] = -self.inner * (ROLL_IN * roll + 1.0 * pressed) * (0.25 + 0.75 * self.middle)
+        return self.frame.world(out)
+
+
+def mouth_of(vertices: FloatArray, regions: Regions, frame: Frame, side_of_mouth: FloatArray) -> Mouth:
+    """The mouth of a neutral (n, 3) mm; side_of_mouth (n,) is 0 on the upper lip and 1 on the lower one."""
+    corners = [frame.marks[f"cheilion_{side}"] for side in ("left", "right")]
+    centre = 0.5 * (corners[0] + corners[1])
+    half = 0.5 * float(np.linalg.norm(corners[0] - corners[1]))
+    local = frame.local(vertices - centre)
+    front = max(local[regions.landmarks["labrale_superius"], 2], local[regions.landmarks["labrale_inferius"], 2])
+    depth = smoothstep((local[:, 2] - front + 2 * DEPTH + 12) / DEPTH)
+    flat = np.hypot(local[:, 0] / (DISC[0] * half), local[:, 1] / (DISC[1] * half))
+    disc = depth * np.exp(-0.5 * np.maximum(flat - 0.35, 0) ** 2 / 0.36**2)
+
+    def near(loop: str, width: float) -> FloatArray:
+        distance = cKDTree(vertices[regions.loops[loop]]).query(vertices)[0]
+        return np.asarray(np.exp(-0.5 * (distance / width) ** 2))
+
+    to_lips = cKDTree(vertices[regions.vertices["lips"]]).query(vertices)[0]
+    cheeks = []
+    for side in ("left", "right"):
+        middle = frame.place({"cheilion": 0.5, "supra_m2": 0.5}, side)
+        away = np.linalg.norm(vertices - middle, axis=1)
+        cheeks.append(np.exp(-0.5 * (away / CHEEK) ** 2))
+    return Mouth(
+        frame=frame,
+        centre=centre,
+        half_width=half,
+        disc=disc,
+        lips=np.exp(-0.5 * (to_lips / 7.0) ** 2),
+        inner=near("lip_inner", LIP),
+        border=near("lip_contour", LIP),
+        upper=1 - smoothstep(side_of_mouth),
+        middle=1 - smoothstep(np.abs(local[:, 0]) / half) ,
+        cheeks=(cheeks[0], cheeks[1]),
+    )

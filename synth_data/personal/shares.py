@@ -1,0 +1,62 @@
+"""Fields over the skin between parts that are told what to do: the share of each vertex in a bone's or a lid's motion.
+
+Harmonic fields have no extremes but the prescribed ones and run along the skin, not through the air between the lips.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from retarget.geometry.cholesky import CholeskyFactor
+from retarget.geometry.laplacian import surface_energies
+from retarget.types import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Skin:
+    """The Laplacian of one neutral."""
+
+    stiffness: sp.csr_array  # (n, n)
+    mass: FloatArray  # (n,) mm^2
+
+    def harmonic(self, values: FloatArray, blur: float = 0.0) -> FloatArray:
+        """(n,) the harmonic field that meets values (n,), NaN where free; then heat of `blur` mm smooths all of it."""
+        free = np.isnan(values)
+        out = np.where(free, 0.0, values)
+        inner = self.stiffness[free]
+        factor = CholeskyFactor(inner[:, free] + 1e-9 * sp.diags_array(self.mass[free]), "share")
+        out[free] = factor.solve(-np.asarray(inner[:, ~free] @ values[~free]))
+        return self.blurred(out, blur) if blur else out
+
+    def blurred(self, values: FloatArray, width: float) -> FloatArray:
+        """Values (n,) or (n, c) after heat has spread to a standard deviation of `width` mm."""
+        return self.blur(width)(values)
+
+    def blur(self, width: float) -> Blur:
+        return Blur(CholeskyFactor(sp.diags_array(self.mass) + width**2 / 4 * self.stiffness, "heat"), self.mass)
+
+
+@dataclass(frozen=True)
+class Blur:
+    """Heat of one width in two implicit steps; what it keeps is the area's integral and the extremes."""
+
+    factor: CholeskyFactor
+    mass: FloatArray
+
+    def __call__(self, values: FloatArray) -> FloatArray:
+        mass = self.mass if values.ndim == 1 else self.mass[:, None]
+        return self.factor.solve(mass * self.factor.solve(mass * values))
+
+
+def skin_of(vertices: FloatArray, faces: IntArray) -> Skin:
+    """The operators on vertices (n, 3) mm with faces (f, 3)."""
+    return Skin(*surface_energies(vertices, faces))
+
+
+def smoothstep(x: FloatArray) -> FloatArray:
+    """0 below 0, 1 above 1, and smooth between."""
+    t = np.clip(x, 0.0, 1.0)
+    return t * t * (3 - 2 * t)
