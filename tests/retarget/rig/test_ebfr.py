@@ -99,6 +99,14 @@ def test_without_examples_it_is_deformation_transfer(weighting):
 
 
 @weightings
+@pytest.mark.parametrize("anchors", [cranium(2), np.empty(0, dtype=np.int64)], ids=["anchored", "free"])
+def test_integrated_gradients_give_the_vertices_and_leave_in_place_what_is_still(weighting, anchors):
+    transfer = DeformationTransfer(GENERIC, OWN, FACES, anchors, weighting)
+    changes = change(OWN, TRUTH).transpose(0, 1, 3, 2)
+    np.testing.assert_allclose(transfer.integrate(changes, SHAPES - GENERIC), TRUTH - OWN, atol=1e-9)
+
+
+@weightings
 def test_the_rigs_own_shapes_as_examples_give_the_rig(weighting):
     rig = rigging(weighting)
     generic = rig.generic(SHAPES, SETTINGS)
