@@ -68,11 +68,15 @@ def measured(study: OverlapStudy, case: Case, variable: str, value: float) -> li
     fitted: Any = method.prepare(case.pair).fit(case.shapes, case.span)
     result = fitted(case.frames)
     edges = borders(fitted.target.layout, case.pair.faces, case.head)
-    alphas = fitted.patches(case.frames).alpha
+    layout, blendshapes = fitted.target.layout, fitted.target
+    jumps = [
+        _jump(blendshapes.at_places(alpha), layout, edges, truth)
+        for alpha, truth in zip(fitted.patches(case.frames).alpha, case.truth, strict=True)
+    ]
     columns = {
         MEASURES[0]: case.error(result.parts["source_reconstruction"], case.frames),
         MEASURES[1]: case.error(result.frames, case.truth),
-        MEASURES[2]: np.array([_jump(fitted.target.at_places(a), fitted.target.layout, edges, case) for a in alphas]),
+        MEASURES[2]: np.array(jumps),
     }
     about = {"source": case.source, "target": case.target, "variable": variable, "value": value}
     return [
@@ -91,13 +95,13 @@ def borders(layout: OverlappingPatches, faces: IntArray, within: IntArray) -> In
     return edges[kept & np.isin(edges, within).all(axis=1)]
 
 
-def _jump(at_places: FloatArray, layout: OverlappingPatches, edges: IntArray, case: Case) -> float:
-    """mm: how much displacements jump along edges where each vertex follows the patch whose core it is in."""
-    own = np.empty((len(layout.multiplicity), 3))
+def _jump(at_places: FloatArray, layout: OverlappingPatches, edges: IntArray, truth: FloatArray) -> float:
+    """mm: how much the error jumps along edges where each vertex follows the patch whose core it is in."""
+    own = np.empty_like(truth)
     for members, core, places in zip(layout.members, layout.cores, layout.places, strict=True):
         own[core] = at_places[places][np.searchsorted(members, core)]
-    moved = own - case.pair.target_neutral
-    return float(np.linalg.norm(moved[edges[:, 0]] - moved[edges[:, 1]], axis=1).mean())
+    error = own - truth
+    return float(np.linalg.norm(error[edges[:, 0]] - error[edges[:, 1]], axis=1).mean())
 
 
 def _panels(summary: pd.DataFrame) -> list[Panel]:

@@ -125,7 +125,9 @@ def save(study: AlmStudy, records: pd.DataFrame, summary: pd.DataFrame, folder: 
     """The two tables, and on the console the summary and where all lies."""
     for name, table in (("records", records), ("summary", summary)):
         write_whole(folder / f"{name}.csv", lambda path, table=table: table.to_csv(path, index=False))  # type: ignore[misc]
-    console.print(summary.to_string(index=False, float_format=lambda value: f"{value:.4f}"), markup=False)
+    console.print(
+        summary.to_string(index=False, float_format=lambda value: f"{value:.4f}"), markup=False, soft_wrap=True
+    )
     for name in ("records.csv", "summary.csv", f"{study.name}.pdf"):
         print_path(folder / name, console)
 

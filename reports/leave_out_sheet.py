@@ -63,11 +63,11 @@ def _pictures(shown: Shown, name: str, work: Path) -> Pictures:
     for i, (method, found) in enumerate(shown.found.items()):
         values = {"vertex_values": distances[method], "limits": (0.0, limit)}
         write_image(work / f"{name}-{i}.jpg", render_mesh(found, shown.pair.faces, camera, SIZE, **values))
-        cells.append(Picture(f"{name}-{i}.jpg", f"{method}: {number(shown.errors[method], 3)} mm", said))
+        cells.append(Picture(f"{name}-{i}.jpg", f"{method}: {number(shown.errors[method], 3)} mm"))
     rows = [tuple(cells[i : i + COLUMNS]) for i in range(0, len(cells), COLUMNS)]
     return Pictures(
         ("",) * COLUMNS,
         (1.0,) * COLUMNS,
         tuple(PictureRow(row, shown.title if i == 0 else "") for i, row in enumerate(rows)),
-        "Colours: distance from the truth, up to the number below each picture.",
+        f"Colours: distance from the truth, darkest from {said} mm on.",
     )

@@ -14,6 +14,7 @@ from numba import njit, prange
 
 from retarget.types import FloatArray, IntArray
 
+SMALL = 100_000  # places: below, waking threads takes longer than the work
 HALVINGS = 8  # of a step that does not lower its patch's energy
 FUSE = {"contract", "reassoc", "nsz"}  # NaN and infinity keep their meaning
 
@@ -62,7 +63,8 @@ class Patches:
         For weights (P, width) of the directions, turns (P, 3, 3) and shifts (P, 3) mm.
         """
         local, x = self._rest.copy(), np.empty_like(self._rest)
-        _show(weights, turns, shifts, self.ranks, self._starts, self._direction_starts, self._directions, local, x)
+        show = _show if len(x) > SMALL else _show_alone
+        show(weights, turns, shifts, self.ranks, self._starts, self._direction_starts, self._directions, local, x)
         return local, x
 
     def products(self, weights: FloatArray) -> FloatArray:
@@ -96,7 +98,8 @@ class Patches:
         """
         steps = np.zeros((len(self.ranks), 6 + self.width))
         energies = np.zeros(len(self.ranks))
-        _step(
+        step = _step if len(x) > SMALL else _step_alone
+        step(
             turns, weights, local, x, mean,
             pulls.goals, pulls.data, pulls.anatomy, pulls.stitch, pulls.products, factors, refresh,
             self.ranks, self._starts, self._direction_starts, self._directions, self._over_starts, self._over,
@@ -109,19 +112,30 @@ def _starts(sizes: Sequence[int]) -> IntArray:
     return np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)]).astype(np.int64)
 
 
-@njit(cache=True, parallel=True, fastmath=FUSE)
+@njit(cache=True, parallel=True)
 def _show(weights, turns, shifts, ranks, starts, direction_starts, directions, local, x):  # type: ignore[no-untyped-def]
-    flat = local.reshape(-1)
     for p in prange(len(ranks)):
-        first, size = 3 * starts[p], 3 * (starts[p + 1] - starts[p])
-        for k in range(ranks[p]):
-            w, offset = weights[p, k], direction_starts[p] + k * size
-            for i in range(size):
-                flat[first + i] += w * directions[offset + i]
-        for v in range(starts[p], starts[p + 1]):
-            a, b, c = local[v, 0], local[v, 1], local[v, 2]
-            for i in range(3):
-                x[v, i] = turns[p, i, 0] * a + turns[p, i, 1] * b + turns[p, i, 2] * c + shifts[p, i]
+        _show_patch(p, weights, turns, shifts, ranks, starts, direction_starts, directions, local, x)
+
+
+@njit(cache=True)
+def _show_alone(weights, turns, shifts, ranks, starts, direction_starts, directions, local, x):  # type: ignore[no-untyped-def]
+    for p in range(len(ranks)):
+        _show_patch(p, weights, turns, shifts, ranks, starts, direction_starts, directions, local, x)
+
+
+@njit(cache=True, fastmath=FUSE)
+def _show_patch(p, weights, turns, shifts, ranks, starts, direction_starts, directions, local, x):  # type: ignore[no-untyped-def]
+    flat = local.reshape(-1)
+    first, size = 3 * starts[p], 3 * (starts[p + 1] - starts[p])
+    for k in range(ranks[p]):
+        w, offset = weights[p, k], direction_starts[p] + k * size
+        for i in range(size):
+            flat[first + i] += w * directions[offset + i]
+    for v in range(starts[p], starts[p + 1]):
+        a, b, c = local[v, 0], local[v, 1], local[v, 2]
+        for i in range(3):
+            x[v, i] = turns[p, i, 0] * a + turns[p, i, 1] * b + turns[p, i, 2] * c + shifts[p, i]
 
 
 @njit(cache=True, parallel=True)
@@ -130,43 +144,66 @@ def _step(  # type: ignore[no-untyped-def]
     ranks, starts, direction_starts, directions, over_starts, over, base, slope_starts, slopes, steps, energies,
 ):  # fmt: skip
     for p in prange(len(ranks)):
-        first, last, rank = starts[p], starts[p + 1], ranks[p]
-        size, held = last - first, over_starts[p + 1] - over_starts[p]
-        turn = turns[p]
-        shown = directions[direction_starts[p] : direction_starts[p + 1]].reshape(rank, 3 * size)
-        slope = slopes[slope_starts[p] : slope_starts[p + 1]].reshape(rank, 7 * held)
-        known = base[over_starts[p] : over_starts[p + 1]]
-        members = over[over_starts[p] : over_starts[p + 1]]
-        y = local[first:last]
-        own, shape, asked = np.empty((size, 3)), np.empty((held, 7)), np.empty((held, 7))
-        gradient = np.zeros(6 + rank)
-        here, wanted, pull = x[first:last], goals[first:last], stitch[first:last]
-        energies[p] = _pull_of_surface(turn, here, mean[first:last], wanted, data, pull, own)
-        _known(known, slope, weights[p], shape)
-        energies[p] += _pull_of_bone(turn, here, members, shape, anatomy, own, asked)
-        _gradient(y, own, shown, slope, asked, gradient)
-        if refresh:
-            matrix = np.zeros((6 + rank, 6 + rank))
-            matrix[6:, 6:] = products[p, :rank, :rank]
-            _add_surface(y, shown, data, pull, matrix)
-            _add_bone(turn, y, shown, slope, members, shape, anatomy, matrix)
-            for i in range(6 + rank):
-                matrix[i, i] = matrix[i, i] * (1 + 1e-9) + 1e-9
-            factors[p, : 6 + rank, : 6 + rank] = np.linalg.inv(matrix)
-        step = -(np.ascontiguousarray(factors[p, : 6 + rank, : 6 + rank]) @ gradient)
-        moved, placed = np.empty((size, 3)), np.empty((size, 3))
-        for _ in range(HALVINGS):
-            _known(y, shown, step[6:], moved)
-            _put(turn, x[first:last], y, step, moved, placed)
-            _known(known, slope, weights[p, :rank] + step[6:], shape)
-            after = _pull_of_surface(turn, placed, mean[first:last], wanted, data, pull, own)
-            after += _pull_of_bone(turn, placed, members, shape, anatomy, own, asked)
-            if after <= energies[p]:
-                break
-            step *= 0.5
-        else:
-            step[:] = 0.0
-        steps[p, : 6 + rank] = step
+        _step_patch(
+            p, turns, weights, local, x, mean, goals, data, anatomy, stitch, products, factors, refresh,
+            ranks, starts, direction_starts, directions, over_starts, over, base, slope_starts, slopes, steps, energies,
+        )  # fmt: skip
+
+
+@njit(cache=True)
+def _step_alone(  # type: ignore[no-untyped-def]
+    turns, weights, local, x, mean, goals, data, anatomy, stitch, products, factors, refresh,
+    ranks, starts, direction_starts, directions, over_starts, over, base, slope_starts, slopes, steps, energies,
+):  # fmt: skip
+    for p in range(len(ranks)):
+        _step_patch(
+            p, turns, weights, local, x, mean, goals, data, anatomy, stitch, products, factors, refresh,
+            ranks, starts, direction_starts, directions, over_starts, over, base, slope_starts, slopes, steps, energies,
+        )  # fmt: skip
+
+
+@njit(cache=True)
+def _step_patch(  # type: ignore[no-untyped-def]
+    p, turns, weights, local, x, mean, goals, data, anatomy, stitch, products, factors, refresh,
+    ranks, starts, direction_starts, directions, over_starts, over, base, slope_starts, slopes, steps, energies,
+):  # fmt: skip
+    first, last, rank = starts[p], starts[p + 1], ranks[p]
+    size, held = last - first, over_starts[p + 1] - over_starts[p]
+    turn = turns[p]
+    shown = directions[direction_starts[p] : direction_starts[p + 1]].reshape(rank, 3 * size)
+    slope = slopes[slope_starts[p] : slope_starts[p + 1]].reshape(rank, 7 * held)
+    known = base[over_starts[p] : over_starts[p + 1]]
+    members = over[over_starts[p] : over_starts[p + 1]]
+    y = local[first:last]
+    own, shape, asked = np.empty((size, 3)), np.empty((held, 7)), np.empty((held, 7))
+    gradient = np.zeros(6 + rank)
+    here, wanted, pull = x[first:last], goals[first:last], stitch[first:last]
+    energies[p] = _pull_of_surface(turn, here, mean[first:last], wanted, data, pull, own)
+    _known(known, slope, weights[p], shape)
+    energies[p] += _pull_of_bone(turn, here, members, shape, anatomy, own, asked)
+    _gradient(y, own, shown, slope, asked, gradient)
+    if refresh:
+        matrix = np.zeros((6 + rank, 6 + rank))
+        matrix[6:, 6:] = products[p, :rank, :rank]
+        _add_surface(y, shown, data, pull, matrix)
+        _add_bone(turn, y, shown, slope, members, shape, anatomy, matrix)
+        for i in range(6 + rank):
+            matrix[i, i] = matrix[i, i] * (1 + 1e-9) + 1e-9
+        factors[p, : 6 + rank, : 6 + rank] = np.linalg.inv(matrix)
+    step = -(np.ascontiguousarray(factors[p, : 6 + rank, : 6 + rank]) @ gradient)
+    moved, placed = np.empty((size, 3)), np.empty((size, 3))
+    for _ in range(HALVINGS):
+        _known(y, shown, step[6:], moved)
+        _put(turn, x[first:last], y, step, moved, placed)
+        _known(known, slope, weights[p, :rank] + step[6:], shape)
+        after = _pull_of_surface(turn, placed, mean[first:last], wanted, data, pull, own)
+        after += _pull_of_bone(turn, placed, members, shape, anatomy, own, asked)
+        if after <= energies[p]:
+            break
+        step *= 0.5
+    else:
+        step[:] = 0.0
+    steps[p, : 6 + rank] = step
 
 
 @njit(cache=True, fastmath=FUSE)
