@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from retarget.check import InvalidInput
+from retarget.simulation.collisions import with_inner_sides
 from retarget.simulation.penetration import Surface, inside
 from retarget.types import FloatArray, IntArray, Regions
 
@@ -15,8 +16,8 @@ class LipDepth:
     """Penetration of the visible lips of one character.
 
     A vertex counts if the winding number of the whole skin says that it lies inside and if it is behind the nearest
-    triangle of the other lip, so that it lies in that lip and not in a fold of its own; its depth is the distance to
-    that triangle, beyond that of the neutral. Vertices near the corners of the mouth are left out: there a lip is
+    triangle of the other lip, its hidden inner side included, so that it lies in that lip and not in a fold of its
+    own; its depth is the distance to that triangle, beyond that of the neutral. Vertices near the corners of the mouth are left out: there a lip is
     inside of the cheek's fold more often than in the other lip.
     """
 
@@ -33,9 +34,10 @@ class LipDepth:
         away = np.linalg.norm(neutral[:, None] - corners[None], axis=2).min(axis=1) > CORNER
         upper, lower = (regions.vertices[name] for name in ("upper_lip", "lower_lip"))
         self._faces = faces
+        whole = with_inner_sides(neutral, faces, upper, lower, regions.vertices.get("head"))
         self._sides = [
-            (own[away[own]], Surface(lip))
-            for own, lip in ((upper, _within(faces, lower)), (lower, _within(faces, upper)))
+            (own[away[own]], Surface(_within(faces, other)))
+            for own, other in zip((upper, lower), reversed(whole), strict=True)
         ]
         self.vertices: IntArray = np.concatenate([points for points, _ in self._sides])  # (p,)
         self._resting = np.zeros(len(self.vertices))

@@ -42,7 +42,7 @@ class Lips:
                     f"regions: expected vertices[{name!r}] for lip collisions, got none; add it to the topology's "
                     "regions, or switch collisions off."
                 )
-        upper, lower = _with_inner_sides(rest, faces, sets[0], sets[1], regions.vertices.get("head"))
+        upper, lower = with_inner_sides(rest, faces, sets[0], sets[1], regions.vertices.get("head"))
         corners = np.intersect1d(sets[0], sets[1])
         across = faces[np.isin(faces, upper).any(axis=1) & np.isin(faces, lower).any(axis=1)]
         self._seam = np.union1d(corners, across)  # where one lip goes over into the other
@@ -117,7 +117,7 @@ def _parts(samples: Samples) -> tuple[IntArray, FloatArray]:
     return samples.corners, samples.weights
 
 
-def _with_inner_sides(
+def with_inner_sides(
     rest: FloatArray, faces: IntArray, upper: IntArray, lower: IntArray, visible: IntArray | None
 ) -> tuple[IntArray, IntArray]:
     """Both lips with the hidden vertices that clearly lie behind them: along the surface at most REACH away, and nearer
