@@ -17,8 +17,8 @@ class LipDepth:
 
     A vertex counts if the winding number of the whole skin says that it lies inside and if it is behind the nearest
     triangle of the other lip, its hidden inner side included, so that it lies in that lip and not in a fold of its
-    own; its depth is the distance to that triangle, beyond that of the neutral. Vertices near the corners of the mouth are left out: there a lip is
-    inside of the cheek's fold more often than in the other lip.
+    own; its depth is the distance to that triangle, beyond that of the neutral. Vertices near the corners of the mouth
+    are left out: there a lip is inside of the cheek's fold more often than in the other lip.
     """
 
     def __init__(self, neutral: FloatArray, faces: IntArray, regions: Regions) -> None:

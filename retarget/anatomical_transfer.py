@@ -35,11 +35,11 @@ SEVERITY = (Status.CONVERGED, Status.MAX_ITERATIONS, Status.FAILED)
 class AnatomySettings:
     """The template's size and the weights of both simulations.
 
-    template: `coarse` or `paper`. tissue_depth: factor on the table of soft-tissue depths. length_mm: unit of length, in mm, of the weights of squared distances; 10 reads the
-    published ones in centimetres, as `retarget.simulation.weights` explains. tets: see `TetWeights`.
-    lips: see `LipForm`. jaw: see `Jaw`. collisions: resolve those of the lips. streaming: frames are an animation in
-    its order, and each solve starts from those before it: fewer iterations, and results that differ by the solver's
-    tolerance.
+    template: `coarse` or `paper`. tissue_depth: factor on the table of soft-tissue depths. length_mm: unit of
+    length, in mm, of the weights of squared distances; 10 reads the published ones in centimetres, as
+    `retarget.simulation.weights` explains. tets: see `TetWeights`. lips: see `LipForm`. jaw: see `Jaw`. collisions:
+    resolve those of the lips. streaming: frames are an animation in its order, and each solve starts from those
+    before it: fewer iterations, and results that differ by the solver's tolerance.
     Raises InvalidInput for settings out of range.
     """
 
