@@ -71,7 +71,7 @@ class PersonalFace:
             skin[lids.vertices] += lids(self.neutral, self._lid_action(w, side))
         answer = float(self.traits.response(np.array(w["jawOpen"])))
         excursion = Excursion(answer, w["jawForward"], w["jawLeft"], w["jawRight"], min(w["mouthClose"], 1.0))
-        return self.jaw(skin, excursion)
+        return self.mouth.parted(self.jaw(skin, excursion))
 
     def _slid(self, w: dict[str, float]) -> FloatArray:
         """(n, 3) mm: muscles pull, skin keeps its height over the surface."""
@@ -188,7 +188,8 @@ def personal_face(vertices: FloatArray, faces: IntArray, regions: Regions, trait
     lips[regions.vertices["lips"]] = 1.0
     face_part = np.zeros(n)
     face_part[regions.vertices["face"]] = 1.0
-    soft = skin.blurred(face_part, 4.0) * slides * off_lids * (1 - 0.6 * skin.blurred(lips, 2.0))
+    mouth = mouth_of(vertices, regions, frame, jaw.share)
+    soft = skin.blurred(face_part, 4.0) * slides * off_lids * (1 - 0.6 * skin.blurred(lips, 2.0)) * (1 - mouth.inner)
     nose = np.zeros(n)
     nose[regions.vertices["nose"]] = 1.0
     loose = off_lids * slides * smoothstep(1 - 1.2 * skin.blurred(lips, 1.5))
@@ -202,7 +203,7 @@ def personal_face(vertices: FloatArray, faces: IntArray, regions: Regions, trait
         slides=slides,
         height=height,
         pulls=pulls_of(vertices, frame, traits, jaw.share),
-        mouth=mouth_of(vertices, regions, frame, jaw.share),
+        mouth=mouth,
         lids=(lids[0], lids[1]),
         folds=folds_of(vertices, normals, frame, traits, loose),
         jaw=jaw,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from retarget.types import FloatArray, IntArray
 from synth_data.personal.frame import Frame, Place
@@ -109,7 +110,7 @@ def _curve(knots: FloatArray) -> FloatArray:
 
 def _patches(vertices: FloatArray, centres: FloatArray, loose: FloatArray) -> FloatArray:
     """(s, n) weights of means over patches about centres (s, 3) mm."""
-    distance2 = np.sum((vertices[None] - centres[:, None]) ** 2, axis=2)
+    distance2 = cdist(centres, vertices, "sqeuclidean")
     weight = loose * np.exp(-0.5 * (distance2 - distance2.min(axis=1, keepdims=True)) / PATCH**2)
     weight[weight < 1e-4] = 0.0
     return np.asarray(weight / weight.sum(axis=1, keepdims=True))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from retarget.types import FloatArray, Regions
@@ -15,6 +16,7 @@ from synth_data.personal.traits import REFERENCE_MANDIBLE, Traits
 OVAL = 2.5  # the parting of the lips falls off as 1 - |x|^OVAL towards the corners
 SHUT = 0.5  # share of all of both lips when they stay shut over an opening jaw
 BLUR = 5.0  # mm
+NOSE = 11.0  # mm about the nose that stay with it
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,8 @@ def _share(vertices: FloatArray, regions: Regions, skin: Skin, frame: Frame, shu
     values = np.full(len(vertices), np.nan)
     for name in ("cranium_skin", "nose", "ears", "scalp", "neck_boundary"):
         values[regions.vertices[name]] = 0.0
+    around = cKDTree(vertices[regions.vertices["nose"]]).query(vertices[regions.vertices["head"]])[0] < NOSE
+    values[regions.vertices["head"][around]] = 0.0
     left, right = (frame.marks[f"cheilion_{side}"] for side in ("left", "right"))
     middle, half = 0.5 * (left + right), 0.5 * float((left - right) @ frame.left)
     jaw = regions.vertices["jaw_skin"]

@@ -9,10 +9,11 @@ from scipy.spatial import cKDTree
 
 from retarget.geometry.graph import components, vertex_adjacency
 from retarget.types import FloatArray, IntArray, Regions
+from synth_data.personal.contact import Contact, rest
 from synth_data.personal.frame import Frame
 from synth_data.personal.shares import Skin, smoothstep
 
-SLIT = 0.2  # mm that stay open between shut lids, so that they touch without crossing
+SLIT = 0.1  # mm that stay open between shut lids, so that they touch without crossing
 WIDE, UP, DOWN = 0.16, 0.10, 0.10  # radians: lids of a stare, of the upper lid when looking up, of the lower when down
 MERIDIANS = 41
 SHAPE = 0.8  # exponent of the shares: below 1 the lid moves as a plate and folds near the orbit
@@ -40,6 +41,8 @@ class Lids:
     upper: FloatArray  # (m,) share in the upper lid's turn
     lower: FloatArray  # (m,)
     opening: FloatArray  # (m,) radians between the lids on each vertex's meridian
+    rims: tuple[IntArray, IntArray]  # rows of `vertices` on the upper and the lower rim, which meet
+    contact: Contact
     crease: FloatArray  # (m,) mm by which lid skin stands off the sphere that its margin moves on
 
     def __call__(self, neutral: FloatArray, action: LidAction) -> FloatArray:
@@ -52,7 +55,13 @@ class Lids:
         turn = self.upper * ((WIDE * action.wide + UP * action.up) * fade - drop)
         turn += self.lower * (rise - (0.5 * WIDE * action.wide + DOWN * action.down) * fade)
         unfolded = radius - 0.6 * self.upper * action.shut * self.crease
-        moved = np.column_stack([at[:, 0], unfolded * np.sin(angle + turn), unfolded * np.cos(angle + turn)])
+        angle = angle + turn
+        sheets = [(np.column_stack([at[rim, 0], unfolded[rim]]), (radius * angle)[rim]) for rim in self.rims]
+        for rim, (plane, _), push in zip(self.rims, sheets, self.contact(*sheets), strict=True):
+            if push.any():
+                share = self.upper if rim is self.rims[0] else self.lower
+                angle += _fade(np.column_stack([at[:, 0], unfolded]), plane, push) * share / radius
+        moved = np.column_stack([at[:, 0], unfolded * np.sin(angle), unfolded * np.cos(angle)])
         return (moved - at) @ self.axes
 
 
@@ -76,11 +85,14 @@ def lids_of(vertices: FloatArray, faces: IntArray, regions: Regions, skin: Skin,
     above = np.union1d(rim[nearest < len(upper)], upper)
     below = np.union1d(rim[nearest >= len(upper)], lower)
     grid = np.linspace(at[margin, 0].min(), at[margin, 0].max(), MERIDIANS)
-    window = 0.08 * (grid[-1] - grid[0])
+    window = 0.03 * (grid[-1] - grid[0])
     low = _envelope(grid, at[above, 0], angle[above], window)
     high = -_envelope(grid, at[below, 0], -angle[below], window)
-    to_corner = np.minimum(grid - grid[0], grid[-1] - grid) / window
-    gap = np.maximum(low - high - SLIT / radius, 0.0) * smoothstep(to_corner)
+    front = [np.interp(grid, *_by_place(at[lid, 0], angle[lid])) for lid in (_with_corners(margin, upper, lower))]
+    # the rims stand before or behind the margins, so they touch while the margins are still apart
+    half = slice(MERIDIANS // 4, -(MERIDIANS // 4))
+    kept = np.median((low - high - SLIT / radius)[half] / np.maximum(front[0] - front[1], 1e-3)[half])
+    gap = np.clip(kept, 0.0, 1.0) * np.maximum(front[0] - front[1], 0.0)
 
     deep = socket[at[socket, 2] < 0.6 * radius]
     fixed = np.full(len(vertices), 0.0)
@@ -93,6 +105,8 @@ def lids_of(vertices: FloatArray, faces: IntArray, regions: Regions, skin: Skin,
         share = skin.harmonic(values)
         shares.append(np.where(np.isin(np.arange(len(vertices)), moving), 1.0, share**SHAPE))
     moved = np.flatnonzero(shares[0] + shares[1] > 0)
+    rims = np.searchsorted(moved, above), np.searchsorted(moved, below)
+    sheets = [(np.column_stack([at[rim, 0], distance[rim]]), (distance * angle)[rim]) for rim in (above, below)]
     order = np.argsort(at[upper, 0])
     on_margin = np.interp(at[moved, 0], at[upper[order], 0], distance[upper[order]])
     return Lids(
@@ -103,8 +117,15 @@ def lids_of(vertices: FloatArray, faces: IntArray, regions: Regions, skin: Skin,
         upper=shares[0][moved],
         lower=shares[1][moved],
         opening=np.interp(at[moved, 0], grid, gap),
+        rims=rims,
+        contact=rest(sheets[0], sheets[1], SLIT),
         crease=np.maximum(distance[moved] - on_margin, 0.0),
     )
+
+
+def _fade(plane: FloatArray, rim: FloatArray, push: FloatArray) -> FloatArray:
+    """(m,) mm: the push (k,) of a rim's vertices (k, 2) carried to those at (m, 2), of whom the nearest counts."""
+    return np.asarray(push[cKDTree(rim).query(plane)[1]])
 
 
 def fit_sphere(points: FloatArray) -> tuple[FloatArray, float]:
@@ -129,6 +150,16 @@ def _socket_and_rim(vertices: FloatArray, faces: IntArray, regions: Regions, sid
         if not np.isin(skin[part], regions.loops[f"eye_socket_{side}"]).any()
     ]
     return socket, np.concatenate(rims)
+
+
+def _with_corners(margin: IntArray, upper: IntArray, lower: IntArray) -> tuple[IntArray, IntArray]:
+    """The upper and the lower half of the margin, each with both corners."""
+    return np.setdiff1d(margin, lower), np.setdiff1d(margin, upper)
+
+
+def _by_place(place: FloatArray, value: FloatArray) -> tuple[FloatArray, FloatArray]:
+    order = np.argsort(place)
+    return place[order], value[order]
 
 
 def _envelope(grid: FloatArray, place: FloatArray, angle: FloatArray, window: float) -> FloatArray:

@@ -7,22 +7,26 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from retarget.types import FloatArray, Regions
+from retarget.types import FloatArray, IntArray, Regions
+from synth_data.personal.contact import Contact, rest
 from synth_data.personal.frame import Frame
 from synth_data.personal.shares import smoothstep
 
 DISC = 1.05, 0.85  # extent of the oral disc beside and above the mouth, in half widths of the mouth
+PLATEAU = 0.75  # share of that extent over which the disc is 1
 DEPTH = 22.0  # mm behind the lips to where the disc reaches into the mouth
 LIP = 5.0  # mm from where the lips meet over which rolling and pressing act
+CONTACT = 3.0  # mm from where the lips meet within which they touch when pressed
+TOUCH, GAP = 6.0, 0.2  # mm from there within which lips may come to touch, and that they stay apart
 CHEEK = 17.0  # mm, extent of a blown cheek
 
-PURSE_NARROWS, FUNNEL_NARROWS, ROLL_NARROWS = 0.40, 0.24, 0.06  # relative shortening of the mouth
-PURSE_AHEAD, FUNNEL_AHEAD, PUFF = 7.0, 6.0, 11.0  # mm outward
+PURSE_NARROWS, FUNNEL_NARROWS, ROLL_NARROWS = 0.48, 0.26, 0.06  # relative shortening of the mouth
+PURSE_AHEAD, FUNNEL_AHEAD, PUFF = 8.0, 7.0, 13.0  # mm outward
 FUNNEL_UP, FUNNEL_DOWN = 3.6, 4.6  # mm that the lips part
-SHIFT = 8.0  # mm, mouthLeft and mouthRight
+SHIFT = 8.5  # mm, mouthLeft and mouthRight
 SHRUG_UP, SHRUG_AHEAD = 3.2, 1.6  # mm
-ROLL_IN, ROLL_OVER = 4.5, 1.6  # mm that the red lip goes in, and that the skin above follows it
-PRESS = 1.8  # mm that the borders of the lips approach
+ROLL_IN, ROLL_OVER = 6.0, 2.6  # mm that the red lip goes in, and that the skin above follows it
+PRESS = 2.6  # mm that the borders of the lips approach
 
 
 @dataclass(frozen=True)
@@ -34,11 +38,15 @@ class Mouth:
     half_width: float  # mm
     disc: FloatArray
     lips: FloatArray  # 1 on the red of the lips
-    inner: FloatArray  # 1 where the lips meet
+    inner: FloatArray  # 1 near where the lips meet
+    contact: FloatArray  # 1 where the lips meet and touch
     border: FloatArray  # 1 on the vermilion border
     upper: FloatArray  # 1 on the upper lip, 0 on the lower one
     middle: FloatArray  # 1 at the midline, 0 at the corners
     cheeks: tuple[FloatArray, FloatArray]  # left and right
+    sheets: tuple[IntArray, IntArray]  # vertices of the upper and the lower lip that may touch
+    push: tuple[FloatArray, FloatArray]  # (n,) share of each vertex in the push on either lip
+    contact_rest: Contact
 
     def along(self, at: FloatArray, w: dict[str, float]) -> FloatArray:
         """(n, 3) mm: how the skin at (n, 3) slides for contractions w by face unit."""
@@ -47,7 +55,7 @@ class Mouth:
         narrow += ROLL_NARROWS * (w["mouthRollUpper"] + w["mouthRollLower"])
         out = np.zeros_like(at)
         out[:, 0] = -narrow * self.disc * local[:, 0] * np.exp(-0.5 * (local[:, 0] / (1.6 * self.half_width)) ** 2)
-        out[:, 0] += SHIFT * (w["mouthLeft"] - w["mouthRight"]) * self.disc
+        out[:, 0] += SHIFT * (w["mouthLeft"] - w["mouthRight"]) * self.disc**0.6
         lower = 1 - self.upper
         rise = w["mouthFunnel"] * self.middle * self.lips * (FUNNEL_UP * self.upper - FUNNEL_DOWN * lower)
         rise += SHRUG_UP * w["mouthShrugUpper"] * self.disc * self.upper
@@ -68,12 +76,37 @@ class Mouth:
         press is that of the left and the right half, sideness (n,) 1 on the left and 0 on the right.
         """
         pressed = press[0] * sideness + press[1] * (1 - sideness)
-        roll = w["mouthRollUpper"] * self.upper + w["mouthRollLower"] * (1 - self.upper)
+        upper, lower = w["mouthRollUpper"], w["mouthRollLower"]
+        roll = upper * self.upper + lower * (1 - self.upper)
         towards = 1 - 2 * self.upper  # down on the upper lip, up on the lower one
+        wide = 0.3 + 0.7 * self.middle
         out = np.zeros((len(self.disc), 3))
-        out[:, 1] = towards * self.border * (ROLL_OVER * roll + PRESS * pressed) * (0.3 + 0.7 * self.middle)
-        out[:, 2] = -self.inner * (ROLL_IN * roll + 1.0 * pressed) * (0.25 + 0.75 * self.middle)
+        out[:, 1] = towards * self.border * (1 - self.contact) * (ROLL_OVER * roll + PRESS * pressed) * wide
+        # where the lips touch, both go in alike
+        out[:, 2] = -self.inner * (ROLL_IN * (roll + self.contact * (0.5 * (upper + lower) - roll)) + pressed) * wide
         return self.frame.world(out)
+
+
+    def parted(self, skin: FloatArray) -> FloatArray:
+        """(n, 3) mm with lips that cross no more than at rest."""
+        heights = _sheets(self.frame, skin, self.sheets)
+        pushes = self.contact_rest(*heights)
+        if not (pushes[0].any() or pushes[1].any()):
+            return skin
+        out = skin.copy()
+        for sheet, share, push in zip(self.sheets, self.push, pushes, strict=True):
+            near = np.flatnonzero(share > 1e-3)
+            distance, index = cKDTree(skin[sheet]).query(skin[near], 3)
+            weight = 1 / (distance + 0.05) ** 2
+            moved = share[near] * np.sum(weight * push[index], axis=1) / weight.sum(axis=1)
+            out[near] += moved[:, None] * self.frame.up
+        return out
+
+
+def _sheets(frame: Frame, skin: FloatArray, sheets: tuple[IntArray, IntArray]) -> list[tuple[FloatArray, FloatArray]]:
+    """The plane (m, 2) and the height (m,) of either lip, in mm."""
+    local = [frame.local(skin[sheet]) for sheet in sheets]
+    return [(at[:, [0, 2]], at[:, 1]) for at in local]
 
 
 def mouth_of(vertices: FloatArray, regions: Regions, frame: Frame, side_of_mouth: FloatArray) -> Mouth:
@@ -85,12 +118,19 @@ def mouth_of(vertices: FloatArray, regions: Regions, frame: Frame, side_of_mouth
     front = max(local[regions.landmarks["labrale_superius"], 2], local[regions.landmarks["labrale_inferius"], 2])
     depth = smoothstep((local[:, 2] - front + 2 * DEPTH + 12) / DEPTH)
     flat = np.hypot(local[:, 0] / (DISC[0] * half), local[:, 1] / (DISC[1] * half))
-    disc = depth * np.exp(-0.5 * np.maximum(flat - 0.35, 0) ** 2 / 0.36**2)
+    disc = depth * np.exp(-0.5 * np.maximum(flat - PLATEAU, 0) ** 2 / 0.40**2)
 
     def near(loop: str, width: float) -> FloatArray:
         distance = cKDTree(vertices[regions.loops[loop]]).query(vertices)[0]
         return np.asarray(np.exp(-0.5 * (distance / width) ** 2))
 
+    upper = 1 - smoothstep(side_of_mouth)
+    to_inner = cKDTree(vertices[regions.loops["lip_inner"]]).query(vertices)[0]
+    apart = 1 - smoothstep(np.abs(local[:, 0]) / half * 4 - 3)  # corners belong to both lips
+    touching = (to_inner < TOUCH) & (apart > 0.01)
+    sheets = np.flatnonzero(touching & (upper > 0.6)), np.flatnonzero(touching & (upper < 0.4))
+    heights = _sheets(frame, vertices, sheets)
+    fade = np.exp(-0.5 * (np.maximum(to_inner - 0.5 * TOUCH, 0) / 3.0) ** 2)
     to_lips = cKDTree(vertices[regions.vertices["lips"]]).query(vertices)[0]
     cheeks = []
     for side in ("left", "right"):
@@ -104,8 +144,12 @@ def mouth_of(vertices: FloatArray, regions: Regions, frame: Frame, side_of_mouth
         disc=disc,
         lips=np.exp(-0.5 * (to_lips / 7.0) ** 2),
         inner=near("lip_inner", LIP),
+        contact=near("lip_inner", CONTACT),
         border=near("lip_contour", LIP),
-        upper=1 - smoothstep(side_of_mouth),
+        upper=upper,
         middle=1 - smoothstep(np.abs(local[:, 0]) / half) ,
         cheeks=(cheeks[0], cheeks[1]),
+        sheets=sheets,
+        push=(fade * smoothstep(2 * upper - 0.5), fade * smoothstep(1.5 - 2 * upper)),
+        contact_rest=rest(heights[0], heights[1], GAP),
     )

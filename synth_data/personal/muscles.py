@@ -45,16 +45,16 @@ MUSCLES: dict[str, Muscle] = {
         {"mouthFrown": 1.0, "mouthStretch": 0.25}, {"cheilion": 1.0}, {"sub_m2": 0.5, "menton": 0.5}, 0.27, 11.0, 11.0
     ),
     "levator_labii": Muscle(
-        {"mouthUpperUp": 1.0, "mouthSmile": 0.12}, {"labrale_superius": 0.45, "cheilion": 0.55}, {"suborbital": 1.0},
-        0.14, 10.0, 12.0, "upper",
+        {"mouthUpperUp": 1.0, "mouthSmile": 0.12}, {"labrale_superius": 0.65, "cheilion": 0.35}, {"suborbital": 1.0},
+        0.12, 12.0, 14.0, "upper",
     ),
     "levator_nasi": Muscle(
         {"noseSneer": 1.0}, {"alare": 0.8, "cheilion": 0.2}, {"endocanthion": 0.8, "nasion": 0.2}, 0.17, 8.5, 12.0,
         "upper",
     ),
     "depressor_labii": Muscle(
-        {"mouthLowerDown": 1.0, "mouthStretch": 0.35}, {"labrale_inferius": 0.5, "cheilion": 0.5},
-        {"menton": 0.6, "sub_m2": 0.4}, 0.23, 10.0, 9.0, "lower",
+        {"mouthLowerDown": 1.0, "mouthStretch": 0.35}, {"labrale_inferius": 0.65, "cheilion": 0.35},
+        {"menton": 0.6, "sub_m2": 0.4}, 0.21, 12.0, 11.0, "lower",
     ),
     "mentalis": Muscle(
         {"mouthShrugLower": 1.0}, {"pogonion": 0.6, "supramentale": 0.4}, {"labrale_inferius": 1.0}, 0.26, 13.0, 10.0,

@@ -87,7 +87,7 @@ def draw_traits(seed: int, age: float) -> Traits:
     if not np.isfinite(age):
         raise InvalidInput(f"age: expected years, got {age}.")
     rng = np.random.default_rng(np.random.SeedSequence([seed, _STREAM]))
-    z = np.clip(rng.standard_normal(9), -2.5, 2.5)
+    z = np.clip(rng.standard_normal(6), -2, 2)
     return Traits(
         seed=seed,
         jaw=Jaw(
