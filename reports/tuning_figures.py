@@ -78,7 +78,8 @@ def _along(axes: Axes, domain: Mapping[str, Any], values: pd.Series[Any]) -> np.
         listed = [str(value) for value in domain["choices"]]
         axes.set_xticks(range(len(listed)), listed)
         axes.set_xlim(-0.5, len(listed) - 0.5)
-        return np.array([listed.index(str(value)) for value in values], dtype=np.float64)
+        place = list(domain["choices"])  # 2 is 2.0, as a column of numbers with gaps has it
+        return np.array([place.index(value) for value in values], dtype=np.float64)
     low, high = next(domain[name] for name in ("log", "linear") if name in domain)
     if "log" in domain:
         margin = (high / low) ** 0.04

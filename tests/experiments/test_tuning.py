@@ -35,6 +35,9 @@ SMALL = [
     "~study.spaces.lbs_residual",
     "~study.spaces.anacondar",
     "~study.spaces.adt",
+    "~study.spaces.landmark_dt",
+    "~study.spaces.ebfr",
+    "~study.spaces.alm",
     "~study.variants.lbs_residual_uniform",
     "~study.variants.plbs_residual_uniform",
 ]
@@ -78,7 +81,8 @@ def test_every_method_gets_the_same_number_of_trials_and_its_present_configurati
 
 def test_every_method_with_a_tuned_and_a_printed_form_is_tuned() -> None:
     tunable = {name.removesuffix("_paper") for name in options("method") if name.endswith("_paper")}
-    assert tunable <= set(configured().trials)
+    parts = {"alm_patch_only"}  # the first step of `alm`, with its settings
+    assert tunable - parts <= set(configured().trials)
 
 
 def test_the_present_configuration_is_that_of_a_chosen_method_where_it_was_changed() -> None:
