@@ -65,6 +65,19 @@ BREATH: Span = (0.3, 0.9)  # s between two phrases
 LISTENING: Span = (2.0, 7.0)  # s between two turns
 ONE_SIDED, SIDES_DIFFER = 0.05, 0.05  # less than in still expressions: the recorded sides are nearly alike
 
+# What a unit brings along, on its own side: muscles and trackers couple units. Shares after the slopes between units
+# of the recording of docs/sequences.md that correlate above 0.6, lower where both are also done alone.
+COMPANIONS: dict[str, dict[str, float]] = {
+    "jawOpen": {"mouthStretch": 0.4, "mouthLowerDown": 0.5},
+    "mouthSmile": {"mouthUpperUp": 0.45, "mouthLowerDown": 0.25, "cheekSquint": 0.3},
+    "mouthPress": {"mouthShrugLower": 0.7, "mouthDimple": 0.5},
+    "mouthPucker": {"mouthFunnel": 0.3, "cheekPuff": 0.2},
+    "mouthUpperUp": {"mouthShrugUpper": 0.6},
+    "noseSneer": {"cheekSquint": 0.6, "browDown": 0.7, "eyeSquint": 0.5, "mouthUpperUp": 0.4},
+    "browDown": {"noseSneer": 0.3, "cheekSquint": 0.2, "eyeSquint": 0.3},
+    "browInnerUp": {"browOuterUp": 0.7, "eyeWide": 0.2},
+}
+
 _STREAM = 5  # of the seed
 _REST = np.zeros(len(SKIN_NAMES))
 _CLOSED = np.array([float(name.startswith("eyeBlink")) for name in SKIN_NAMES])
@@ -96,6 +109,7 @@ def conversation(seconds: float, fps: float = 30.0, seed: int = 0) -> Recording:
     )
     closed = blinks[:, [COLUMN["eyeBlinkLeft"]]]
     rows = 1 - np.prod([1 - part for part in parts], axis=0)
+    rows = accompanied(rows)
     rows[:, _EYES] *= 1 - closed
     rows = possible(rows + blinks)
 
@@ -103,6 +117,25 @@ def conversation(seconds: float, fps: float = 30.0, seed: int = 0) -> Recording:
     weights[:, [NAMES.index(name) for name in SKIN_NAMES]] = rows
     none = np.zeros(count, dtype=bool)
     return Recording("conversation", times, weights, np.zeros((count, len(ROTATIONS))), none, none)
+
+
+def accompanied(rows: FloatArray) -> FloatArray:
+    """(t, 51) in [0, 1]: the rows with `COMPANIONS` of their units."""
+    return 1 - (1 - rows) * (1 - (rows @ _BROUGHT).clip(0, 1))
+
+
+def _brought() -> FloatArray:
+    """(51, 51) how much of the units (columns) each unit (row) brings along; half, where one side moves the middle."""
+    shares = np.zeros((len(SKIN_NAMES), len(SKIN_NAMES)))
+    for lead, companions in COMPANIONS.items():
+        for unit, share in companions.items():
+            for side in ("Left", "Right"):
+                row, column = (COLUMN[name if name in COLUMN else name + side] for name in (lead, unit))
+                shares[row, column] += share / 2 if unit in COLUMN else share
+    return shares
+
+
+_BROUGHT = _brought()
 
 
 def _follow(times: FloatArray, moves: Iterator[_Move]) -> FloatArray:

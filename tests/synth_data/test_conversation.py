@@ -11,8 +11,8 @@ from scipy.signal import welch
 from retarget.check import InvalidInput
 from retarget.types import FloatArray
 from synth_data.arkit import NAMES, SKIN_NAMES
-from synth_data.conversation import _follow, conversation
-from synth_data.recording import Recording
+from synth_data.conversation import _follow, accompanied, conversation
+from synth_data.recording import Recording, mirrored
 from synth_data.sequence import EXCLUSIVE
 
 
@@ -56,6 +56,17 @@ def test_possible_faces_and_still_tongue(take: Recording) -> None:
     assert not take.clipped.any()
 
 
+def test_every_blink_shuts_the_eye_whatever_it_does() -> None:
+    take = conversation(60, fps=240, seed=3)
+    lid = unit(take, "eyeBlinkLeft")
+    edges = np.flatnonzero(np.diff(np.r_[0, lid > 0.4, 0]))
+    peaks = [lid[start:end].max() for start, end in edges.reshape(-1, 2)]
+    assert len(peaks) > 10
+    assert min(peaks) >= 0.84
+    others = sum(unit(take, f"eye{name}Left") for name in ("Wide", "Squint", "LookDown"))
+    assert (lid + others)[lid > 0.84].max() < 1.2  # type: ignore[index]
+
+
 def test_nothing_jumps() -> None:
     """At ten times the rate a step is a tenth: a jump would stay."""
     coarse, fine = (np.abs(np.diff(conversation(6, fps, seed=3).skin, axis=0)).max() for fps in (200, 2000))
@@ -72,6 +83,31 @@ def test_minimum_jerk_by_hand() -> None:
     np.testing.assert_allclose(way[:, SKIN_NAMES.index("jawOpen")], 0.8 * expected, atol=1e-15)
     np.testing.assert_allclose(way[:, SKIN_NAMES.index("cheekSquintLeft")], 0.4 * expected, atol=1e-15)
     assert np.count_nonzero(way.any(axis=0)) == 2
+
+
+def test_companions_by_hand_in_range_and_mirrored() -> None:
+    def face(**units: float) -> FloatArray:
+        return np.array([[units.get(name, 0.0) for name in SKIN_NAMES]])
+
+    opened = face(jawOpen=0.5, mouthStretchLeft=0.2)
+    expected = face(
+        jawOpen=0.5,
+        mouthStretchLeft=1 - 0.8 * 0.8,  # its own 0.2, and 0.4 x 0.5 brought along
+        mouthStretchRight=0.2,
+        mouthLowerDownLeft=0.25,
+        mouthLowerDownRight=0.25,
+    )
+    np.testing.assert_allclose(accompanied(opened), expected, atol=1e-15)
+    pressed = accompanied(face(mouthPressRight=0.6))
+    np.testing.assert_allclose(
+        pressed, face(mouthPressRight=0.6, mouthDimpleRight=0.3, mouthShrugLower=0.21), atol=1e-15
+    )
+    faces = np.random.default_rng(0).uniform(0, 1, (50, 51))
+    np.testing.assert_allclose(accompanied(mirrored(faces)), mirrored(accompanied(faces)), atol=1e-12)
+    assert (accompanied(faces) >= faces - 1e-15).all()
+    strong = accompanied(face(mouthSmileLeft=1, noseSneerLeft=1, browDownLeft=1))
+    assert strong[0, SKIN_NAMES.index("cheekSquintLeft")] == 1  # of 0.3 + 0.6 + 0.2
+    assert not accompanied(np.zeros((1, 51))).any()
 
 
 def test_pace_of_speech_and_blinks() -> None:

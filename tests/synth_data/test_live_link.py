@@ -113,10 +113,10 @@ def test_values_a_little_outside_are_clipped_and_told(write: Write) -> None:
 def test_rate_of_takes_whose_timecode_counts_60ths(write: Write, fps: int, step: int) -> None:
     rows = [row(f"23:59:{58 + k // 60:02d}:{k % 60:02d}.652") for k in range(0, 120, step)]
     rows += [row(f"00:00:{k // 60:02d}:{k % 60:02d}.652") for k in range(0, 90, step)]
-    del rows[7]
+    del rows[7:17]
     take = read_live_link(write(*rows))
     assert take.fps == fps
-    np.testing.assert_allclose(take.times, np.delete(np.arange(0, 210, step), 7) / 60, atol=1e-9)
+    np.testing.assert_allclose(take.times, np.delete(np.arange(0, 210, step), slice(7, 17)) / 60, atol=1e-9)
 
 
 @pytest.mark.parametrize("rate", [24, 25, 30])

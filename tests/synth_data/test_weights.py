@@ -40,10 +40,13 @@ def test_sparse_is_what_it_was() -> None:
 def test_recorded_takes_tracked_frames_that_move_each_once() -> None:
     skin = np.zeros((6, 51))
     skin[:, 0] = [0.0, 0.3, 0.31, 0.6, 0.9, 0.7]  # at rest, one frame, a near copy, one, lost, one
+    orders = set()
     for seed in range(9):
         rows = blending_weights("recorded", 3, seed, take(skin, lost=(4,)))
         assert sorted(rows[:, 0].round(1).tolist()) == [0.3, 0.6, 0.7]
         assert (rows[:, 1:] == 0).all()
+        orders.add(tuple(rows[:, 0]))
+    assert len(orders) > 3
     with pytest.raises(InvalidInput, match="expected 4 different expressions, but 'made' has 3 among its 5 tracked"):
         blending_weights("recorded", 4, 0, take(skin, lost=(4,)))
 
