@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +13,13 @@ from retarget.check import InvalidInput
 from retarget.types import FloatArray
 from synth_data.arkit import NAMES, SKIN_NAMES
 from synth_data.conversation import conversation
+from synth_data.live_link import read_live_link
 from synth_data.recording import ROTATIONS, Recording
 from synth_data.weight_statistics import correlations, dimensions, main, spectrum, statistics, unexplained
+
+ROOT = Path(__file__).parents[2]
+REAL = ROOT / ".." / "shared" / "data" / "livelink" / "alex_rom_3.csv"
+STORED = ROOT / "docs" / "data" / "recording_statistics.json"
 
 
 def take(fps: float, seconds: float, **units: FloatArray) -> Recording:
@@ -89,6 +96,14 @@ def test_unexplained_motion_by_hand() -> None:
     for examples in (0, 12):
         with pytest.raises(InvalidInput, match="examples: expected 1 to 11 of 12 rows"):
             unexplained(rows, gram, examples)
+
+
+@pytest.mark.skipif(not REAL.is_file(), reason="the recording ../shared/data/livelink/alex_rom_3.csv is not here")
+def test_the_stored_statistics_are_those_of_the_recording() -> None:
+    stored = json.loads(STORED.read_text())
+    found = statistics(read_live_link(REAL))
+    assert found == pytest.approx(stored["statistics"], rel=1e-3, abs=1e-4)
+    np.testing.assert_allclose(stored["correlations"], correlations(read_live_link(REAL).skin), atol=0.0051)
 
 
 def test_more_examples_explain_more() -> None:
