@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import chain
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from retarget.anatomy.crossings import self_intersections
 from retarget.check import InvalidInput
 from retarget.types import FloatArray, IntArray
-
-_PAIRS = 2_000_000  # candidate pairs tested at once, bounds the memory
-_FLAT = 1e-9  # mm^3: less is rounding, as where triangles lie in one plane
 
 
 def cap(name: str, vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
@@ -103,54 +99,3 @@ def check_closed(name: str, vertices: FloatArray, faces: IntArray) -> None:
             f"first {pairs[0].tolist()} near {np.round(vertices[faces[pairs[0, 0]]].mean(axis=0), 1).tolist()} mm; "
             "open lips and lids in the pose, or repair the mesh there."
         )
-
-
-def self_intersections(vertices: FloatArray, faces: IntArray) -> IntArray:
-    """(p, 2) pairs of triangles, an edge of one of which passes through the other; neighbours are left out."""
-    edges, owner = np.unique(
-        np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1),
-        axis=0,
-        return_index=True,
-    )
-    owner = owner % len(faces)
-    middle, half = vertices[edges].mean(axis=1), 0.5 * np.linalg.norm(np.diff(vertices[edges], axis=1)[:, 0], axis=1)
-    centre = vertices[faces].mean(axis=1)
-    radius = np.linalg.norm(vertices[faces] - centre[:, None], axis=2).max(axis=1)
-    found = []
-    octave = np.floor(np.log2(np.maximum(radius, 1e-6))).astype(int)
-    for size in np.unique(octave):  # triangles of one size at a time: a large one has no reach among small ones
-        group = np.flatnonzero(octave == size)
-        near = cKDTree(centre[group]).query_ball_point(middle, half + radius[group].max(), return_sorted=False)
-        count = np.array([len(candidates) for candidates in near])
-        ends = np.cumsum(count)
-        start = 0
-        while start < len(edges):
-            stop = max(int(np.searchsorted(ends, (ends[start - 1] if start else 0) + _PAIRS)), start + 1)
-            edge = np.repeat(np.arange(start, stop), count[start:stop])
-            triangle = group[np.fromiter(chain.from_iterable(near[start:stop]), np.int64, len(edge))]
-            away = middle[edge] - centre[triangle]
-            reach = np.einsum("ij,ij->i", away, away) <= (half[edge] + radius[triangle]) ** 2
-            edge, triangle = edge[reach], triangle[reach]
-            hit = _crosses(vertices, edges[edge], faces[triangle])
-            found.append(np.column_stack([owner[edge[hit]], triangle[hit]]))
-            start = stop
-    return np.unique(np.concatenate(found), axis=0)
-
-
-def _crosses(vertices: FloatArray, edges: IntArray, faces: IntArray) -> IntArray:
-    """Rows at which the segment edges (p, 2) passes through the triangle faces (p, 3) without sharing a vertex."""
-    rows = np.flatnonzero((edges[:, :, None] != faces[:, None, :]).all(axis=(1, 2)))
-
-    def volume(u: IntArray, v: IntArray, w: IntArray, x: IntArray) -> FloatArray:
-        """Six times the signed volumes of tetrahedra, by their corners."""
-        at = vertices[x]
-        signed: FloatArray = np.einsum("ij,ij->i", vertices[u] - at, np.cross(vertices[v] - at, vertices[w] - at))
-        return np.where(np.abs(signed) > _FLAT, signed, 0.0)
-
-    (p, q), (a, b, c) = edges[rows].T, faces[rows].T
-    through = volume(a, b, c, p) * volume(a, b, c, q) < 0
-    rows = rows[through]
-    (p, q), (a, b, c) = edges[rows].T, faces[rows].T
-    side = np.stack([volume(p, q, a, b), volume(p, q, b, c), volume(p, q, c, a)])
-    inside = (side > 0).all(axis=0) | (side < 0).all(axis=0)
-    return rows[inside]

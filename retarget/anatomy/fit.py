@@ -11,7 +11,7 @@ from scipy.spatial.distance import cdist
 from threadpoolctl import threadpool_limits
 
 from retarget.anatomy.bone_fit import CLEARANCE, Skin, SkullFit, follow_depths, measure_skull, place_skull
-from retarget.anatomy.closed import self_intersections
+from retarget.anatomy.crossings import self_intersections
 from retarget.anatomy.depths import depths_with_room
 from retarget.anatomy.head import Head, HeadTemplate
 from retarget.anatomy.untangle import Repair, untangle

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from retarget.anatomy.closed import cap, check_closed, self_intersections
+from retarget.anatomy.closed import cap, check_closed
+from retarget.anatomy.crossings import self_intersections
 from retarget.check import InvalidInput
 from retarget.geometry.cholesky import CholeskyFactor
 from retarget.geometry.graph import vertex_adjacency

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from retarget.anatomy.closed import cap, check_closed, euler_number, self_intersections
+from retarget.anatomy.closed import cap, check_closed, euler_number
 from retarget.check import InvalidInput
 from retarget.types import FloatArray, IntArray
 
@@ -71,38 +71,9 @@ def test_wrong_edges_are_refused_before_capping(sphere: tuple[FloatArray, IntArr
         cap("ball", vertices, turned)
 
 
-def test_crossing_triangles_are_found_and_only_those() -> None:
-    flat = np.array([[0.0, 0, 0], [4, 0, 0], [0, 4, 0]])
-    through = np.array([[1.0, 1, -1], [1, 1, 1], [5, 5, 1]])
-    above = flat + np.array([0, 0, 2.5])
-    faces = np.arange(9, dtype=np.int64).reshape(3, 3)
-    pairs = self_intersections(np.vstack([flat, through, above]), faces)
-    assert {frozenset(pair) for pair in pairs.tolist()} == {frozenset({0, 1})}
-
-
 def test_a_dent_pushed_through_the_other_side_is_refused(sphere: tuple[FloatArray, IntArray]) -> None:
     vertices, faces = sphere
     pushed = vertices.copy()
     pushed[0] *= -1.5
     with pytest.raises(InvalidInput, match="crossing triangles"):
         check_closed("ball", pushed, faces)
-
-
-def test_triangles_of_very_different_size_are_compared() -> None:
-    large = np.array([[-100.0, -100, 0], [100, -100, 0], [0, 150, 0]])
-    small = np.array([[0.0, 0, -0.1], [0.1, 0, 0.1], [0, 0.1, 0.1]])
-    faces = np.arange(6, dtype=np.int64).reshape(2, 3)
-    assert len(self_intersections(np.vstack([large, small]), faces)) == 1
-    assert len(self_intersections(np.vstack([large, small + np.array([0, 0, 1])]), faces)) == 0
-
-
-def test_triangles_in_one_plane_do_not_cross_by_rounding() -> None:
-    rng = np.random.default_rng(0)
-    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    grid = np.stack(np.meshgrid(np.arange(30.0), np.arange(30.0), [0.0]), axis=-1).reshape(-1, 3) @ turn.T + 600.0
-    at = np.arange(900).reshape(30, 30)
-    low, high = (at[:-1, :-1], at[:-1, 1:], at[1:, 1:]), (at[:-1, :-1], at[1:, 1:], at[1:, :-1])
-    faces = np.concatenate([np.stack([c.ravel() for c in half], axis=1) for half in (low, high)])
-    moved = np.array([0.5, 0.0, 0.0]) @ turn.T
-    twice = np.vstack([grid, grid + moved])
-    assert len(self_intersections(twice, np.vstack([faces, faces + 900]))) == 0

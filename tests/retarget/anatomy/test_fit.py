@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from retarget.anatomy.closed import cap, self_intersections
+from retarget.anatomy.closed import cap
+from retarget.anatomy.crossings import self_intersections
 from retarget.anatomy.distance import distance_to, signed_distance
 from retarget.anatomy.fit import DEPTH_RULE, fit_head, fit_with_report
 from retarget.anatomy.head import Head, HeadTemplate

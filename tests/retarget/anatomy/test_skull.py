@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from retarget.anatomy.closed import cap, check_closed, self_intersections
+from retarget.anatomy.closed import cap, check_closed
+from retarget.anatomy.crossings import self_intersections
 from retarget.anatomy.depths import depths_with_room, landmark_depths, load_depths
 from retarget.anatomy.distance import distance_to, signed_distance
 from retarget.anatomy.skull import Skull, bridge_skin, build_skull

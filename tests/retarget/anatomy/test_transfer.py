@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from retarget.anatomy.closed import cap, check_closed, self_intersections
+from retarget.anatomy.closed import cap, check_closed
+from retarget.anatomy.crossings import self_intersections
 from retarget.anatomy.depths import landmark_depths, load_depths
 from retarget.anatomy.fit import fit_head
 from retarget.anatomy.landmarks import LANDMARKS
