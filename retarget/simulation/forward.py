@@ -36,6 +36,7 @@ from retarget.simulation.tetrahedra import rest_shape, vertex_volumes
 from retarget.types import FloatArray, IntArray, SolveInfo, Status
 
 ACCEPTED = 0.1  # mm: deeper lips are not resolved
+WORTH = 0.25  # of the depth that may be left where lips are parted in part
 
 
 @cache
@@ -261,7 +262,8 @@ class ForwardSimulation:
         # differs from the paper: which moves both sides to their average position, once. There is where forces balance
         if both lips are equally soft; prescribed, it folds skin whose points hang on the same tets, and new ones meet.
         Lips that are still in each other are parted on their way from rest, as far as that goes, and the least deep
-        result is taken: never a deeper one than without contacts.
+        result is taken if it leaves less than WORTH of the depth. Otherwise the lips stay as they were without contacts:
+        forces that cannot part them pull skin apart beside them.
         """
         rules, place = self.settings, self._terms.place[lips.vertices]
         points, direct = (problem.points + run.shifts)[place], None
@@ -280,12 +282,12 @@ class ForwardSimulation:
         before = after = lips.depth(done.skin)
         if before <= ACCEPTED:
             return done, LipReport(before, after)
-        if direct and left < before:
+        if direct and left < WORTH * before:
             done, after, best = parted, left, direct
         for tried in self._parting(lips, soft).along(points, rules.collision_rounds):
             parted = self._formed(self._apart(soft, problem, run, place, tried.forces), free)
             left = lips.depth(parted.skin)
-            if left < after and tried.way >= rules.least_way:
+            if left < min(after, WORTH * before) and tried.way >= rules.least_way:
                 done, after, best = parted, left, tried
             if after <= ACCEPTED:
                 break

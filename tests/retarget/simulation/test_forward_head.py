@@ -148,8 +148,9 @@ def test_what_is_left_is_measured_on_all_sides(head, forward, inverse, faces_and
     assert parted.lips.after == pytest.approx(min(after, 10.0), abs=1e-4)
     assert before > 0.5
     assert (after < 0.1) == (name != "close")  # a mouth shut over a closed jaw: no lips' place
-    assert after < before
-    assert (parted.info.status is Status.CONVERGED) == (parted.lips.way == 1.0)
+    if after > 0.1:  # forces that cannot part lips would pull skin apart beside them
+        np.testing.assert_array_equal(parted.skin, crossed.skin)
+    assert (parted.info.status is Status.CONVERGED) == (after < 0.1 and parted.lips.way == 1.0)
 
 
 def test_the_neutral_of_another_head(head, forward):
