@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 
 from retarget.check import check_faces, check_vertices
 from retarget.geometry.triangles import areas
@@ -21,12 +22,13 @@ from synth_data.personal.jaw import Excursion, JawMotion, jaw_motion
 from synth_data.personal.lids import LidAction, Lids, lids_of
 from synth_data.personal.mouth import Mouth, mouth_of
 from synth_data.personal.muscles import MUSCLES, Pull, pulls_of
-from synth_data.personal.shares import Blur, Skin, skin_of, smoothstep
+from synth_data.personal.shares import Blur, carried, skin_of, smoothstep
 from synth_data.personal.sliding import Sliding, sliding_surface
 from synth_data.personal.traits import Traits
 
 STEPS = 4  # of Heun's method along the pulls
 THICKEST, THINNEST = 3.5, -1.5  # mm by which tissue grows and shrinks
+LINING = 10.0  # mm of depth over which the lining of the mouth follows the skin
 SIDES = ("left", "right")
 MOUTH_UNITS = (
     "mouthPucker", "mouthFunnel", "mouthRollUpper", "mouthRollLower", "mouthLeft", "mouthRight", "mouthShrugUpper",
@@ -43,7 +45,8 @@ class PersonalFace:
     traits: Traits
     frame: Frame
     sliding: Sliding
-    slides: FloatArray  # (n,) 1 where skin follows the surface, 0 in the mouth
+    skin: IntArray  # vertices that keep their height over the surface
+    carry: sp.csr_array  # (n, n) what the lining of the mouth takes along from the skin before it
     height: FloatArray  # (n,) mm over the surface
     pulls: Sequence[Pull]
     mouth: Mouth
@@ -85,10 +88,11 @@ class PersonalFace:
             first = self._velocity(at, active, units)
             second = self._velocity(at + first / STEPS, active, units)
             at += 0.5 * (first + second) / STEPS
-            moving = np.flatnonzero((np.abs(first).max(axis=1) > 1e-4) & (self.slides > 1e-3))
+            moving = self.skin[np.abs(first[self.skin]).max(axis=1) > 1e-4]
             height, normal = self.sliding(at[moving])
-            lift = self.slides[moving] * (self.height[moving] - height)
-            at[moving] += lift[:, None] * normal
+            lift = np.zeros_like(at)
+            lift[moving] = (self.height[moving] - height)[:, None] * normal
+            at += np.asarray(self.carry @ lift)
         return at
 
     def _velocity(self, at: FloatArray, active: list[tuple[Pull, float]], units: dict[str, float]) -> FloatArray:
@@ -111,7 +115,7 @@ class PersonalFace:
         pushed = np.zeros_like(skin)
         if len(at):
             pushed[at] = out[at, None] * self.sliding(skin[at])[1]
-        return pushed
+        return np.asarray(self.carry @ pushed)
 
     def _thickening(self, skin: FloatArray) -> FloatArray:
         """(n,) mm by which the tissue grows where area shrinks: thickness times area is kept."""
@@ -180,19 +184,17 @@ def personal_face(vertices: FloatArray, faces: IntArray, regions: Regions, trait
         near = inner[np.linalg.norm(vertices[inner] - part.centre, axis=1) < 1.5 * part.radius]
         on_lids[near] = 1.0
     off_lids = 1 - smoothstep(1.4 * on_lids)
-    shown = np.zeros(n)
-    shown[visible] = 1.0
-    slides = smoothstep(2 * skin.blurred(shown, 3.0) - 1)
+    mouth = mouth_of(vertices, regions, frame, jaw.share)
+    behind = np.setdiff1d(np.arange(n), visible)
     height, normals = sliding(vertices)
     lips = np.zeros(n)
     lips[regions.vertices["lips"]] = 1.0
     face_part = np.zeros(n)
     face_part[regions.vertices["face"]] = 1.0
-    mouth = mouth_of(vertices, regions, frame, jaw.share)
-    soft = skin.blurred(face_part, 4.0) * slides * off_lids * (1 - 0.6 * skin.blurred(lips, 2.0)) * (1 - mouth.inner)
+    soft = skin.blurred(face_part, 4.0) * off_lids * (1 - 0.6 * skin.blurred(lips, 2.0)) * (1 - mouth.inner)
     nose = np.zeros(n)
     nose[regions.vertices["nose"]] = 1.0
-    loose = off_lids * slides * smoothstep(1 - 1.2 * skin.blurred(lips, 1.5))
+    loose = off_lids * smoothstep(1 - 1.2 * skin.blurred(lips, 1.5))
     across = frame.local(vertices - 0.5 * (frame.marks["nasion"] + frame.marks["pogonion"]))[:, 0]
     return PersonalFace(
         neutral=vertices,
@@ -200,7 +202,8 @@ def personal_face(vertices: FloatArray, faces: IntArray, regions: Regions, trait
         traits=traits,
         frame=frame,
         sliding=sliding,
-        slides=slides,
+        skin=visible,
+        carry=carried(vertices, visible, behind, LINING, mouth.upper),
         height=height,
         pulls=pulls_of(vertices, frame, traits, jaw.share),
         mouth=mouth,

@@ -27,7 +27,7 @@ LINES: dict[str, tuple[Place, ...]] = {
 }
 SAMPLES = 13  # along each line
 ASIDE, PATCH = 7.0, 4.0  # mm from the line to the patches whose approach is measured, and the patches' extent
-DEPTH, AGING = 5.0, 0.02  # mm at unit closing at 25 years, and its relative growth per year
+DEPTH, AGING = 3.6, 0.022  # mm at unit closing at 25 years, and its relative growth per year
 ONSET = 0.04  # relative closing that skin bears without a fold
 STEEPEST = 0.45  # of depth to width, so that no fold overhangs
 

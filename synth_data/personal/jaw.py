@@ -10,12 +10,15 @@ from scipy.spatial.transform import Rotation
 
 from retarget.types import FloatArray, Regions
 from synth_data.personal.frame import Frame
-from synth_data.personal.shares import Skin
+from synth_data.personal.shares import Skin, carried
 from synth_data.personal.traits import REFERENCE_MANDIBLE, Traits
 
 OVAL = 2.5  # the parting of the lips falls off as 1 - |x|^OVAL towards the corners
 SHUT = 0.5  # share of all of both lips when they stay shut over an opening jaw
 BLUR = 5.0  # mm
+THROAT = 16.0  # mm, of the blur below the jaw, where the skin folds least over the throat
+CLING = 0.8  # how far lips that touch move alike when the jaw shifts
+LINING = 9.0  # mm above and below the corners beyond which the lining of the mouth follows the skin before it
 NOSE = 11.0  # mm about the nose that stay with it
 
 
@@ -48,11 +51,12 @@ class JawMotion:
     def __call__(self, points: FloatArray, excursion: Excursion) -> FloatArray:
         """(n, 3) mm: points carried along arcs, each by its share of the rotation and of the translation."""
         share = self.share + excursion.shut * (self.shut - self.share)
+        dragged = share + CLING * (1 - excursion.opening) * (self.shut - share)  # lips that touch drag each other along
         aside = excursion.left * self.left - excursion.right * self.right
-        turn = self.angle * excursion.opening * self.frame.left + aside / self.length * self.frame.up
-        shift = (self.glide * excursion.opening + self.protrusion * excursion.forward) * self.frame.forward
-        turned = Rotation.from_rotvec(share[:, None] * turn).apply(points - self.centre)
-        return self.centre + turned + share[:, None] * shift
+        turn = share[:, None] * (self.angle * excursion.opening) * self.frame.left
+        turn += dragged[:, None] * (aside / self.length) * self.frame.up
+        ahead = share * (self.glide * excursion.opening) + dragged * (self.protrusion * excursion.forward)
+        return self.centre + Rotation.from_rotvec(turn).apply(points - self.centre) + ahead[:, None] * self.frame.forward
 
 
 def jaw_motion(vertices: FloatArray, regions: Regions, skin: Skin, frame: Frame, traits: Traits) -> JawMotion:
@@ -94,4 +98,12 @@ def _share(vertices: FloatArray, regions: Regions, skin: Skin, frame: Frame, shu
         lip = regions.vertices[name]
         across = np.minimum(np.abs((vertices[lip] - middle) @ frame.left) / half, 1.0) ** OVAL
         values[lip] = SHUT if shut else (1 - across) * rest + across * 0.45
-    return skin.harmonic(values, BLUR)
+    first = skin.harmonic(values, BLUR)
+    inner = np.setdiff1d(np.arange(len(vertices)), regions.vertices["head"])
+    inner = inner[np.abs((vertices[inner] - middle) @ frame.up) > LINING]
+    taken = np.asarray(carried(vertices, regions.vertices["head"], inner, np.inf, first)[inner] @ first)
+    near = cKDTree(vertices[regions.vertices["head"]]).query(vertices[inner])[0] < 1.5 * LINING
+    values[inner[near]] = taken[near]
+    share = skin.harmonic(values, BLUR)
+    below = np.isin(np.arange(len(vertices)), regions.vertices["neck"]).astype(np.float64)
+    return np.asarray(share + skin.blurred(below, THROAT) * (skin.blurred(share, THROAT) - share))

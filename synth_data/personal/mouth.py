@@ -18,13 +18,13 @@ DEPTH = 22.0  # mm behind the lips to where the disc reaches into the mouth
 LIP = 5.0  # mm from where the lips meet over which rolling and pressing act
 CONTACT = 3.0  # mm from where the lips meet within which they touch when pressed
 TOUCH, GAP = 6.0, 0.2  # mm from there within which lips may come to touch, and that they stay apart
-CHEEK = 17.0  # mm, extent of a blown cheek
+CHEEK = 15.0  # mm, extent of a blown cheek
 
 PURSE_NARROWS, FUNNEL_NARROWS, ROLL_NARROWS = 0.48, 0.26, 0.06  # relative shortening of the mouth
-PURSE_AHEAD, FUNNEL_AHEAD, PUFF = 8.0, 7.0, 13.0  # mm outward
+PURSE_AHEAD, FUNNEL_AHEAD, PUFF = 8.0, 7.0, 11.0  # mm outward
 FUNNEL_UP, FUNNEL_DOWN = 3.6, 4.6  # mm that the lips part
 SHIFT = 8.5  # mm, mouthLeft and mouthRight
-SHRUG_UP, SHRUG_AHEAD = 3.2, 1.6  # mm
+SHRUG_UP, SHRUG_AHEAD = 2.6, 2.2  # mm
 ROLL_IN, ROLL_OVER = 6.0, 2.6  # mm that the red lip goes in, and that the skin above follows it
 PRESS = 2.6  # mm that the borders of the lips approach
 
@@ -59,7 +59,7 @@ class Mouth:
         lower = 1 - self.upper
         rise = w["mouthFunnel"] * self.middle * self.lips * (FUNNEL_UP * self.upper - FUNNEL_DOWN * lower)
         rise += SHRUG_UP * w["mouthShrugUpper"] * self.disc * self.upper
-        rise += 0.8 * SHRUG_UP * w["mouthShrugLower"] * self.disc * self.upper  # the lower lip lifts the upper one
+        rise += 0.5 * SHRUG_UP * w["mouthShrugLower"] * self.disc * self.upper  # the lower lip lifts the upper one
         out[:, 1] = rise
         return self.frame.world(out)
 
@@ -134,7 +134,7 @@ def mouth_of(vertices: FloatArray, regions: Regions, frame: Frame, side_of_mouth
     to_lips = cKDTree(vertices[regions.vertices["lips"]]).query(vertices)[0]
     cheeks = []
     for side in ("left", "right"):
-        middle = frame.place({"cheilion": 0.5, "supra_m2": 0.5}, side)
+        middle = frame.place({"cheilion": 0.5, "supra_m2": 0.35, "inferior_malar": 0.15}, side)
         away = np.linalg.norm(vertices - middle, axis=1)
         cheeks.append(np.exp(-0.5 * (away / CHEEK) ** 2))
     return Mouth(

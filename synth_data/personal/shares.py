@@ -9,10 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.spatial import cKDTree
 
 from retarget.geometry.cholesky import CholeskyFactor
 from retarget.geometry.laplacian import surface_energies
 from retarget.types import FloatArray, IntArray
+
+LIPS_APART = 25.0  # mm that count as the distance between the lips
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,20 @@ class Blur:
 def skin_of(vertices: FloatArray, faces: IntArray) -> Skin:
     """The operators on vertices (n, 3) mm with faces (f, 3)."""
     return Skin(*surface_energies(vertices, faces))
+
+
+def carried(vertices: FloatArray, skin: IntArray, inner: IntArray, reach: float, lip: FloatArray) -> sp.csr_array:
+    """(n, n): motion of the skin, taken along by what lies behind it, fading over `reach` mm of depth.
+
+    lip (n,) is 0 on one lip and 1 on the other: the lining of one does not follow the other.
+    """
+    n = len(vertices)
+    sided = np.column_stack([vertices, LIPS_APART * lip])
+    distance, near = cKDTree(sided[skin]).query(sided[inner], 4)
+    weight = 1 / (distance + 0.5) ** 2
+    weight *= np.exp(-0.5 * (distance[:, :1] / reach) ** 2) / weight.sum(axis=1, keepdims=True)
+    rows, columns = np.concatenate([skin, np.repeat(inner, 4)]), np.concatenate([skin, skin[near].ravel()])
+    return sp.csr_array((np.concatenate([np.ones(len(skin)), weight.ravel()]), (rows, columns)), shape=(n, n))
 
 
 def smoothstep(x: FloatArray) -> FloatArray:
