@@ -262,8 +262,8 @@ class ForwardSimulation:
         # differs from the paper: which moves both sides to their average position, once. There is where forces balance
         if both lips are equally soft; prescribed, it folds skin whose points hang on the same tets, and new ones meet.
         Lips that are still in each other are parted on their way from rest, as far as that goes, and the least deep
-        result is taken if it leaves less than WORTH of the depth. Otherwise the lips stay as they were without contacts:
-        forces that cannot part them pull skin apart beside them.
+        result is taken if it leaves less than WORTH of the depth. Otherwise the lips stay as they were without
+        contacts: forces that cannot part them pull skin apart beside them.
         """
         rules, place = self.settings, self._terms.place[lips.vertices]
         points, direct = (problem.points + run.shifts)[place], None
