@@ -22,7 +22,13 @@ from retarget.types import FloatArray, Pair
 from tests.experiments.test_study_run import CONFIG, EMBEDDING, PLBS, run
 from tests.experiments.toy import toy
 
-RIGGING: dict[str, Any] = {"beta_first": 0.25, "beta_last": 0.05, "alternations": 2, "bounded": False, "lambda_reg": 0.01}
+RIGGING: dict[str, Any] = {
+    "beta_first": 0.25,
+    "beta_last": 0.05,
+    "alternations": 2,
+    "bounded": False,
+    "lambda_reg": 0.01,
+}
 RIGGING |= {"deformation_transfer": "area"}
 EMBED = EmbeddingSettings.from_config(EMBEDDING)
 RIG = RiggingSettings.from_config(RIGGING)
