@@ -17,7 +17,7 @@ OVAL = 2.5  # the parting of the lips falls off as 1 - |x|^OVAL towards the corn
 SHUT = 0.5  # share of all of both lips when they stay shut over an opening jaw
 BLUR = 5.0  # mm
 THROAT = 16.0  # mm, of the blur below the jaw, where the skin folds least over the throat
-CLING = 0.8  # how far lips that touch move alike when the jaw shifts
+CLING = 1.0  # how far lips that touch move alike when the jaw shifts
 LINING = 9.0  # mm above and below the corners beyond which the lining of the mouth follows the skin before it
 NOSE = 11.0  # mm about the nose that stay with it
 

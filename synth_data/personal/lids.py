@@ -13,7 +13,7 @@ from synth_data.personal.contact import Contact, rest
 from synth_data.personal.frame import Frame
 from synth_data.personal.shares import Skin, smoothstep
 
-SLIT = 0.2  # mm that stay open between shut lids, so that they touch without crossing
+SLIT = 0.25  # mm that stay open between shut lids, so that they touch without crossing
 WIDE, UP, DOWN = 0.16, 0.10, 0.10  # radians: lids of a stare, of the upper lid when looking up, of the lower when down
 MERIDIANS = 41
 SHAPE = 0.8  # exponent of the shares: below 1 the lid moves as a plate and folds near the orbit

@@ -31,10 +31,10 @@ class Muscle:
 
 MUSCLES: dict[str, Muscle] = {
     "zygomaticus": Muscle(
-        {"mouthSmile": 1.0}, {"cheilion": 1.0}, {"zygion": 0.5, "lateral_orbit": 0.5}, 0.235, 13.5, 15.0
+        {"mouthSmile": 1.0}, {"cheilion": 1.0}, {"zygion": 0.35, "lateral_orbit": 0.65}, 0.235, 13.5, 15.0
     ),
     "risorius": Muscle(
-        {"mouthSmile": 0.35, "mouthStretch": 1.0}, {"cheilion": 1.0}, {"gonion": 0.5, "mid_masseter": 0.5},
+        {"mouthSmile": 0.25, "mouthStretch": 1.0}, {"cheilion": 1.0}, {"gonion": 0.5, "mid_masseter": 0.5},
         0.14, 13.0, 16.0,
     ),
     "buccinator": Muscle(
