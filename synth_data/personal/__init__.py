@@ -1,1 +1,1 @@
-"""Personal expressions: a generator of skin positions from muscles, a jaw and lids that no compared method implements."""
+"""Personal expressions: skin positions from muscles, a jaw and lids, by no mechanism of a compared method."""

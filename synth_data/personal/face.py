@@ -1,7 +1,7 @@
 """The face of one person: weights of face units in, skin out.
 
 The order is that of the tissue: muscles pull the skin along the surface it slides over; skin that is compressed
-thickens and folds; lips roll and press, cheeks blow up; lids turn about the eyeballs; the jaw carries all that is on it.
+thickens and folds; lips roll and press, cheeks blow up; lids turn about the eyeballs; the jaw carries what is on it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from synth_data.personal.sliding import Sliding, sliding_surface
 from synth_data.personal.traits import Traits
 
 STEPS = 4  # of Heun's method along the pulls
-THICKEST, THINNEST = 3.5, -1.5  # mm by which tissue grows and shrinks
+THICKEST, THINNEST = 3.5, -0.8  # mm by which tissue grows and shrinks
 LINING = 10.0  # mm of depth over which the lining of the mouth follows the skin
 SIDES = ("left", "right")
 MOUTH_UNITS = (

@@ -56,7 +56,9 @@ class JawMotion:
         turn = share[:, None] * (self.angle * excursion.opening) * self.frame.left
         turn += dragged[:, None] * (aside / self.length) * self.frame.up
         ahead = share * (self.glide * excursion.opening) + dragged * (self.protrusion * excursion.forward)
-        return self.centre + Rotation.from_rotvec(turn).apply(points - self.centre) + ahead[:, None] * self.frame.forward
+        return (
+            self.centre + Rotation.from_rotvec(turn).apply(points - self.centre) + ahead[:, None] * self.frame.forward
+        )
 
 
 def jaw_motion(vertices: FloatArray, regions: Regions, skin: Skin, frame: Frame, traits: Traits) -> JawMotion:
@@ -94,7 +96,7 @@ def _share(vertices: FloatArray, regions: Regions, skin: Skin, frame: Frame, shu
     jaw = regions.vertices["jaw_skin"]
     across = np.abs((vertices[jaw] - middle) @ frame.left) / half
     values[jaw[across < 1.1]] = 1.0
-    for name, rest, sign in (("upper_lip", 0.04, 1.0), ("lower_lip", 0.96, -1.0)):
+    for name, rest in (("upper_lip", 0.04), ("lower_lip", 0.96)):
         lip = regions.vertices[name]
         across = np.minimum(np.abs((vertices[lip] - middle) @ frame.left) / half, 1.0) ** OVAL
         values[lip] = SHUT if shut else (1 - across) * rest + across * 0.45

@@ -138,7 +138,10 @@ def fit_sphere(points: FloatArray) -> tuple[FloatArray, float]:
 
 def _socket_and_rim(vertices: FloatArray, faces: IntArray, regions: Regions, side: str) -> tuple[IntArray, IntArray]:
     """The vertices behind the lids, and those of the rims between the margins and the socket."""
-    margin, inside = regions.loops[f"lid_margin_{side}"], np.setdiff1d(np.arange(len(vertices)), regions.vertices["head"])
+    margin, inside = (
+        regions.loops[f"lid_margin_{side}"],
+        np.setdiff1d(np.arange(len(vertices)), regions.vertices["head"]),
+    )
     adjacency = vertex_adjacency(faces, len(vertices))
     parts = [inside[part] for part in components(adjacency[inside][:, inside])]
     eye = vertices[margin].mean(axis=0)

@@ -35,10 +35,16 @@ def magnitudes(face: PersonalFace, regions: Regions) -> dict[str, float]:
         return float(np.linalg.norm(v[marks["stomion_upper"]] - v[marks["stomion_lower"]]))
 
     smile, open_, rest = posed(mouthSmile=1), posed(jawOpen=1), face.neutral
-    corner = np.mean([face.frame.local(smile[c] - rest[c]) * (s, 1, 1) for c, s in zip(corners, (1, -1), strict=True)], 0)
+    corner = np.mean(
+        [face.frame.local(smile[c] - rest[c]) * (s, 1, 1) for c, s in zip(corners, (1, -1), strict=True)], 0
+    )
     excursions = {
         name: float(np.linalg.norm(posed(**{unit: 1.0})[marks["pogonion"]] - rest[marks["pogonion"]]))
-        for name, unit in {"protrusion": "jawForward", "jaw to the left": "jawLeft", "jaw to the right": "jawRight"}.items()
+        for name, unit in {
+            "protrusion": "jawForward",
+            "jaw to the left": "jawLeft",
+            "jaw to the right": "jawRight",
+        }.items()
     }
     return {
         "lip opening under jawOpen (mm)": lips(open_) - lips(rest),
@@ -70,7 +76,12 @@ def crossings(face: PersonalFace, scans: list[Scan]) -> tuple[int, Mapping[str, 
 
 def nonadditive(face: PersonalFace, region: IntArray) -> float:
     """Share of the motion of pairs of units that the sum of both alone misses, RMS over a list of usual pairs."""
-    pairs = (("jawOpen", "mouthSmile"), ("mouthSmile", "cheekSquint"), ("mouthPucker", "jawOpen"), ("mouthFrown", "jawOpen"))
+    pairs = (
+        ("jawOpen", "mouthSmile"),
+        ("mouthSmile", "cheekSquint"),
+        ("mouthPucker", "jawOpen"),
+        ("mouthFrown", "jawOpen"),
+    )
     missed = total = 0.0
     for pair in pairs:
         both, one, other = (
@@ -99,7 +110,10 @@ def main(people: str = "8") -> None:
         own.append((*span_residual(scans, face.neutral, units, region), nonadditive(face, region)))
         measured.append(magnitudes(face, regions))
         rest, excess = crossings(face, scans)
-        print(f"seed {seed}: {rest} crossing pairs in the neutral; in excess of them: {dict(excess) or 'none'}", flush=True)
+        print(
+            f"seed {seed}: {rest} crossing pairs in the neutral; in excess of them: {dict(excess) or 'none'}",
+            flush=True,
+        )
     print("\n| measure | mean | deviation | least | most |\n| --- | --- | --- | --- | --- |")
     for name in measured[0]:
         values = np.array([row[name] for row in measured])
@@ -107,15 +121,17 @@ def main(people: str = "8") -> None:
     shares = [personalisation(a, b, region) for a, b in itertools.combinations(motions, 2)]
     apart = [np.sqrt(np.mean(np.sum((a - b)[:, region] ** 2, axis=2))) for a, b in itertools.combinations(motions, 2)]
     low, high = np.quantile(shares, [0.1, 0.9])
-    print(f"\nScans of two people differ by {np.mean(shares):.0%} of the motion (80 % of pairs: {low:.0%} to {high:.0%}), "
-          f"RMS {np.mean(apart):.2f} mm over the head.")  # fmt: skip
+    share = f"{np.mean(shares):.0%} of the motion (80 % of pairs: {low:.0%} to {high:.0%})"
+    print(f"\nScans of two people differ by {share}, {np.mean(apart):.2f} mm RMS over the head.")
     smiles = [m[1] for m in motions]
     lips = regions.vertices["lips"]
     differ = [np.sqrt(np.mean(np.sum((a - b)[lips] ** 2, axis=1))) for a, b in itertools.combinations(smiles, 2)]
     print(f"Smiles of two people differ by {np.mean(differ):.1f} mm RMS on the lips.")
     r, o = np.mean(residuals, axis=0), np.mean(own, axis=0)
     print(f"Outside the span of the generic units: {r[0]:.2f} mm RMS, {r[1]:.0%} of the motion.")
-    print(f"Outside the span of the person's own units at weight 1: {o[0]:.2f} mm, {o[1]:.0%}. Non-additive: {o[2]:.0%}.")
+    print(
+        f"Outside the span of the person's own units at weight 1: {o[0]:.2f} mm, {o[1]:.0%}. Non-additive: {o[2]:.0%}."
+    )
 
 
 if __name__ == "__main__":

@@ -86,7 +86,6 @@ class Mouth:
         out[:, 2] = -self.inner * (ROLL_IN * (roll + self.contact * (0.5 * (upper + lower) - roll)) + pressed) * wide
         return self.frame.world(out)
 
-
     def parted(self, skin: FloatArray) -> FloatArray:
         """(n, 3) mm with lips that cross no more than at rest."""
         heights = _sheets(self.frame, skin, self.sheets)
@@ -147,7 +146,7 @@ def mouth_of(vertices: FloatArray, regions: Regions, frame: Frame, side_of_mouth
         contact=near("lip_inner", CONTACT),
         border=near("lip_contour", LIP),
         upper=upper,
-        middle=1 - smoothstep(np.abs(local[:, 0]) / half) ,
+        middle=1 - smoothstep(np.abs(local[:, 0]) / half),
         cheeks=(cheeks[0], cheeks[1]),
         sheets=sheets,
         push=(fade * smoothstep(2 * upper - 0.5), fade * smoothstep(1.5 - 2 * upper)),

@@ -65,7 +65,7 @@ def carried(vertices: FloatArray, skin: IntArray, inner: IntArray, reach: float,
     lip (n,) is 0 on one lip and 1 on the other: the lining of one does not follow the other.
     """
     n = len(vertices)
-    sided = np.column_stack([vertices, LIPS_APART * lip])
+    sided = np.column_stack([vertices, LIPS_APART * smoothstep(2.5 * lip - 0.75)])
     distance, near = cKDTree(sided[skin]).query(sided[inner], 4)
     weight = 1 / (distance + 0.5) ** 2
     weight *= np.exp(-0.5 * (distance[:, :1] / reach) ** 2) / weight.sum(axis=1, keepdims=True)

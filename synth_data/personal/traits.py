@@ -1,4 +1,4 @@
-"""What makes two people with equal faces move differently: gains, asymmetry, muscle ends, the jaw, folds. All seeded."""
+"""What makes two people with equal faces move differently: gains, asymmetry, muscle ends, jaw, folds, seeded."""
 
 from __future__ import annotations
 
