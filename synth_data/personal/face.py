@@ -28,7 +28,7 @@ from synth_data.personal.traits import Traits
 
 STEPS = 4  # of Heun's method along the pulls
 THICKEST, THINNEST = 3.5, -0.8  # mm by which tissue grows and shrinks
-LINING = 10.0  # mm of depth over which the lining of the mouth follows the skin
+LINING = 16.0  # mm over which the lips and the lining of the mouth follow the skin about them
 SIDES = ("left", "right")
 MOUTH_UNITS = (
     "mouthPucker", "mouthFunnel", "mouthRollUpper", "mouthRollLower", "mouthLeft", "mouthRight", "mouthShrugUpper",
@@ -185,7 +185,8 @@ def personal_face(vertices: FloatArray, faces: IntArray, regions: Regions, trait
         on_lids[near] = 1.0
     off_lids = 1 - smoothstep(1.4 * on_lids)
     mouth = mouth_of(vertices, regions, frame, jaw.share)
-    behind = np.setdiff1d(np.arange(n), visible)
+    outer = np.setdiff1d(visible, regions.vertices["lips"])
+    behind = np.setdiff1d(np.arange(n), outer)
     height, normals = sliding(vertices)
     lips = np.zeros(n)
     lips[regions.vertices["lips"]] = 1.0
@@ -202,8 +203,8 @@ def personal_face(vertices: FloatArray, faces: IntArray, regions: Regions, trait
         traits=traits,
         frame=frame,
         sliding=sliding,
-        skin=visible,
-        carry=carried(vertices, visible, behind, LINING, mouth.upper),
+        skin=outer,
+        carry=carried(vertices, outer, behind, LINING, mouth.upper),
         height=height,
         pulls=pulls_of(vertices, frame, traits, jaw.share),
         mouth=mouth,

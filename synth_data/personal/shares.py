@@ -15,7 +15,8 @@ from retarget.geometry.cholesky import CholeskyFactor
 from retarget.geometry.laplacian import surface_energies
 from retarget.types import FloatArray, IntArray
 
-LIPS_APART = 25.0  # mm that count as the distance between the lips
+LIPS_APART = 10.0  # mm that count as the distance between the lips
+ALIKE, NEIGHBOURS = 4.5, 20  # mm over which the lining averages the skin before it; vertices
 
 
 @dataclass(frozen=True)
@@ -66,10 +67,10 @@ def carried(vertices: FloatArray, skin: IntArray, inner: IntArray, reach: float,
     """
     n = len(vertices)
     sided = np.column_stack([vertices, LIPS_APART * smoothstep(2.5 * lip - 0.75)])
-    distance, near = cKDTree(sided[skin]).query(sided[inner], 4)
-    weight = 1 / (distance + 0.5) ** 2
+    distance, near = cKDTree(sided[skin]).query(sided[inner], NEIGHBOURS)
+    weight = np.exp(-0.5 * (distance**2 - distance[:, :1] ** 2) / ALIKE**2)
     weight *= np.exp(-0.5 * (distance[:, :1] / reach) ** 2) / weight.sum(axis=1, keepdims=True)
-    rows, columns = np.concatenate([skin, np.repeat(inner, 4)]), np.concatenate([skin, skin[near].ravel()])
+    rows, columns = np.concatenate([skin, np.repeat(inner, NEIGHBOURS)]), np.concatenate([skin, skin[near].ravel()])
     return sp.csr_array((np.concatenate([np.ones(len(skin)), weight.ravel()]), (rows, columns)), shape=(n, n))
 
 
