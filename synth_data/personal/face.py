@@ -121,9 +121,9 @@ class PersonalFace:
         """(n,) mm by which the tissue grows where area shrinks: thickness times area is kept."""
         triangles = self.faces[self.outside]
         before, after = (
-            np.bincount(triangles.ravel(), np.repeat(areas(v, triangles), 3), len(skin)) for v in (self.neutral, skin)
+            self.blur(np.bincount(triangles.ravel(), np.repeat(areas(v, triangles), 3), len(skin)) / self.blur.mass)
+            for v in (self.neutral, skin)
         )
-        before, after = self.blur(before / self.blur.mass), self.blur(after / self.blur.mass)
         grown = self.traits.thickness * (before / np.maximum(after, 0.2 * before + 1e-9) - 1)
         limited = np.where(grown > 0, THICKEST * np.tanh(grown / THICKEST), -THINNEST * np.tanh(-grown / THINNEST))
         return np.asarray(self.soft * limited)

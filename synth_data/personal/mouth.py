@@ -20,7 +20,7 @@ CONTACT = 3.0  # mm from where the lips meet within which they touch when presse
 TOUCH, GAP = 6.0, 0.2  # mm from there within which lips may come to touch, and that they stay apart
 CHEEK = 15.0  # mm, extent of a blown cheek
 
-PURSE_NARROWS, FUNNEL_NARROWS, ROLL_NARROWS = 0.64, 0.32, 0.06  # relative shortening of the mouth
+PURSE_NARROWS, FUNNEL_NARROWS, ROLL_NARROWS = 0.48, 0.28, 0.06  # relative shortening of the mouth
 PURSE_AHEAD, FUNNEL_AHEAD, PUFF = 8.0, 7.0, 11.0  # mm outward
 FUNNEL_UP, FUNNEL_DOWN = 3.6, 4.6  # mm that the lips part
 SHIFT = 8.5  # mm, mouthLeft and mouthRight

@@ -50,7 +50,7 @@ def sliding_surface(vertices: FloatArray, faces: IntArray, skin: Skin, outside: 
     _, cell = np.unique(cells, axis=0, return_inverse=True)
     cell = cell.reshape(-1)
     mass = skin.mass[outside]
-    areas = np.bincount(cell, mass)
+    areas: FloatArray = np.bincount(cell, mass).astype(np.float64)
 
     def mean(values: FloatArray) -> FloatArray:
         return np.stack([np.bincount(cell, mass * column) / areas for column in values[outside].T], axis=1)

@@ -71,7 +71,7 @@ def test_mirrored_weights_on_a_mirrored_person_give_the_mirrored_mesh(base: Base
 def test_scans_of_people_whose_lips_are_apart_cross_nowhere(people: list[PersonalFace]) -> None:
     for face in people:
         assert len(self_intersections(face.neutral, face.faces)) == 0
-        for name in ("smile", "eyes_shut", "pucker", "lips_shut_jaw_open"):
+        for name in ("smile", "anger", "eyes_shut", "lips_shut_jaw_open"):
             assert len(self_intersections(face(unit_weights(SCANS[name]))[0], face.faces)) == 0, name
 
 
@@ -138,7 +138,7 @@ def test_lids_shut_on_the_eyeball(base: Base, people: list[PersonalFace]) -> Non
                 return float(np.median(above) - np.median(below))
 
             rest_, closed = (aperture(v, margins, lids.axes[1]) for v in (face.neutral, shut))
-            assert closed < 0.4 * rest_  # the rims touch behind the margins
+            assert closed < 0.5 * rest_  # the rims touch behind the margins
             away = [np.linalg.norm(v[margins[0]] - lids.centre, axis=1) for v in (face.neutral, shut)]
             np.testing.assert_allclose(*away, atol=1e-6)  # the margin slides on its sphere
 
