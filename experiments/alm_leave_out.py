@@ -19,7 +19,7 @@ from experiments.study import check_whole
 from reports.leave_out_sheet import Shown, write_leave_out_sheet
 from retarget.check import InvalidInput
 from retarget.suggest import choose
-from retarget.types import Examples, FloatArray
+from retarget.types import Examples, FloatArray, Prepared
 from synth_data.dataset import Dataset
 
 
@@ -51,8 +51,9 @@ def leave_out(study: LeaveOutStudy, dataset: Dataset, threads: int, folder: Path
     shown: list[Shown] = []
     with limited_threads(threads), progress(console, "pairs", study.pairs) as advance:
         for case in cases(replace(study, expressions=1), dataset):
+            methods = {name: make_method(name).prepare(case.pair) for name in study.methods}
             for fold in range(study.folds):
-                held, frames = folded(study, case, fold)
+                held, frames = folded(study, case, methods, fold)
                 errors = {name: held.error(found, held.truth) for name, found in frames.items()}
                 rows += [
                     {
@@ -76,7 +77,9 @@ def leave_out(study: LeaveOutStudy, dataset: Dataset, threads: int, folder: Path
     save(study, records, summary, folder, console)
 
 
-def folded(study: LeaveOutStudy, case: Case, fold: int) -> tuple[Case, Mapping[str, FloatArray]]:
+def folded(
+    study: LeaveOutStudy, case: Case, methods: Mapping[str, Prepared], fold: int
+) -> tuple[Case, Mapping[str, FloatArray]]:
     """The held-out shapes of a fold as tests, and what every method makes of them; all know the same other shapes."""
     assert case.shapes.source is not None
     order = np.random.default_rng(study.seed).permutation(case.shapes.count)
@@ -85,9 +88,7 @@ def folded(study: LeaveOutStudy, case: Case, fold: int) -> tuple[Case, Mapping[s
     known = Examples(case.shapes.target[build], case.shapes.source[build])
     names = tuple(case.names[i] for i in out)
     held = replace(case, shapes=known, tests=names, frames=case.shapes.source[out], truth=case.shapes.target[out])
-    found = {
-        name: make_method(name).prepare(case.pair).fit(known, case.span)(held.frames).frames for name in study.methods
-    }
+    found = {name: prepared.fit(known, case.span)(held.frames).frames for name, prepared in methods.items()}
     return held, found
 
 

@@ -12,7 +12,7 @@ from rich.console import Console
 from experiments.alm_study import AlmStudy, Case, cases, write
 from experiments.backend import limited_threads
 from experiments.catalogue import make_method
-from experiments.progress import Advance, progress
+from experiments.progress import progress
 from experiments.study import check_whole
 from reports.curves_sheet import Panel
 from retarget.check import InvalidInput
@@ -49,7 +49,7 @@ def grow(study: ShapesStudy, dataset: Dataset, threads: int, folder: Path, conso
     write(study, records, summary, _panels(summary), folder, console)
 
 
-def measured(study: ShapesStudy, case: Case, advance: Advance = lambda count: None) -> list[dict[str, object]]:
+def measured(study: ShapesStudy, case: Case) -> list[dict[str, object]]:
     """Errors in mm of every expression, by measure, row and number of shapes."""
     rows: list[dict[str, object]] = []
 
@@ -78,7 +78,6 @@ def measured(study: ShapesStudy, case: Case, advance: Advance = lambda count: No
         paper = make_method("alm_paper", length_mm=length).prepare(case.pair)
         found = paper.fit(known, case.span)(known.source).frames
         add("own examples", f"alm_paper in {unit}", known.count, case.error(found, known.target), names)
-    advance(1)
     return rows
 
 

@@ -47,9 +47,23 @@ class Found:
 
 
 class Correspondence(Protocol):
-    """Source examples for the cells of one pair. What it does for a set of expressions it does once."""
+    """Source examples for the cells of one pair."""
 
     def __call__(self, known: Known) -> Found: ...
+
+
+class Remembered:
+    """A correspondence that does once what it does for a set of expressions, whatever method asks."""
+
+    def __init__(self, find: Correspondence) -> None:
+        self._find = find
+        self._found: dict[tuple[str, tuple[str, ...]], Found] = {}
+
+    def __call__(self, known: Known) -> Found:
+        asked = known.span, known.names
+        if asked not in self._found:
+            self._found[asked] = self._find(known)
+        return self._found[asked]
 
 
 @dataclass(frozen=True)
@@ -107,11 +121,11 @@ def correspondences(
     if {"embedded", "paper"} & set(asked):
         if embedding is None:
             raise InvalidInput("study.embedding: expected settings for the correspondence `embedded`, got none.")
-        made["embedded"] = Embedded(pair, embedding)
+        made["embedded"] = Remembered(Embedded(pair, embedding))
     if {"ebfr", "paper"} & set(asked):
         if rigging is None:
             raise InvalidInput("study.rigging: expected settings for the correspondence `ebfr`, got none.")
-        made["ebfr"] = Rigged(pair, rigging)
+        made["ebfr"] = Remembered(Rigged(pair, rigging))
     if "paper" in asked:
         made["paper"] = AsPublished(made["embedded"], made["ebfr"])
     return {name: made[name] for name in asked}
@@ -133,16 +147,9 @@ class Embedded:
     def __init__(self, pair: Pair, settings: EmbeddingSettings) -> None:
         self._pair, self._settings = pair, settings
         self._carried: dict[str, tuple[FloatArray, SolveInfo, float]] = {}
-        self._found: dict[tuple[str, tuple[str, ...]], Found] = {}
 
     def __call__(self, known: Known) -> Found:
         """Raises InvalidInput where the transfer cannot serve the pair, RuntimeError where it fails for an example."""
-        asked = known.span, known.names
-        if asked not in self._found:
-            self._found[asked] = self._embed(known)
-        return self._found[asked]
-
-    def _embed(self, known: Known) -> Found:
         carried = [self._carry(*one) for one in zip(known.names, known.target_examples, strict=True)]
         start = time.perf_counter()
         examples = embed_examples(
@@ -195,23 +202,9 @@ class Rigged:
 
     def __init__(self, pair: Pair, settings: RiggingSettings) -> None:
         self._pair, self._settings = pair, settings
-        self._found: dict[tuple[str, tuple[str, ...]], Found] = {}
 
     def __call__(self, known: Known) -> Found:
         """Raises InvalidInput where no example moves: nothing can be made of them."""
-        asked = known.span, known.names
-        if asked not in self._found:
-            self._found[asked] = self._rig(known)
-        return self._found[asked]
-
-    @cached_property
-    def _rigging(self) -> tuple[ExampleBasedRigging, float]:
-        """From the target to the source, and the seconds of its set-up."""
-        start = time.perf_counter()
-        transfer = DeformationTransfer.of(_back(self._pair), self._settings.deformation_transfer)
-        return ExampleBasedRigging(transfer), time.perf_counter() - start
-
-    def _rig(self, known: Known) -> Found:
         if len(known.names) and not (known.target_examples != self._pair.target_neutral).any():
             raise InvalidInput("none of the target's examples differs from its neutral.")
         rigging, preparing = self._rigging
@@ -219,6 +212,13 @@ class Rigged:
         rig = rigging.rig(rigging.generic(known.target_examples, rules), known.animation, rules)
         info = SolveInfo(iterations=rules.alternations, energy=rig.misfit)
         return Found(rig.shapes, preparing + time.perf_counter() - start, (info,) * len(known.names))
+
+    @cached_property
+    def _rigging(self) -> tuple[ExampleBasedRigging, float]:
+        """From the target to the source, and the seconds of its set-up."""
+        start = time.perf_counter()
+        transfer = DeformationTransfer.of(_back(self._pair), self._settings.deformation_transfer)
+        return ExampleBasedRigging(transfer), time.perf_counter() - start
 
 
 class AsPublished:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import scipy.sparse as sp
 
@@ -30,17 +28,25 @@ def surface_energies(vertices: FloatArray, faces: IntArray) -> tuple[sp.csr_arra
     return sp.csr_array(stiffness - sp.diags_array(stiffness.sum(axis=1))), mass
 
 
-def heat(vertices: FloatArray, faces: IntArray, width: float) -> Callable[[FloatArray], FloatArray]:
-    """Smoothing of values (n,) over a mesh (n, 3) mm by heat that spreads to a standard deviation of `width` mm.
+class Heat:
+    """Smoothing by heat that spreads to a standard deviation of `width` mm, factorised once.
 
-    Constants stay, and values stay between the smallest and the largest, whatever the mesh.
+    Constants and the integral over the area stay, and values stay between the smallest and the largest.
     """
-    stiffness, mass = surface_energies(vertices, faces)
-    factor = CholeskyFactor(sp.diags_array(mass) + width**2 / (2 * _STEPS) * stiffness, "heat")
 
-    def smoothed(values: FloatArray) -> FloatArray:
+    def __init__(self, stiffness: sp.csr_array, mass: FloatArray, width: float) -> None:
+        """stiffness (n, n) and mass (n,) mm^2: those of `surface_energies`."""
+        self.mass = mass
+        self._factor = CholeskyFactor(sp.diags_array(mass) + width**2 / (2 * _STEPS) * stiffness, "heat")
+
+    def __call__(self, values: FloatArray) -> FloatArray:
+        """Smoothed values (n,) or (n, c)."""
+        mass = self.mass if values.ndim == 1 else self.mass[:, None]
         for _ in range(_STEPS):
-            values = factor.solve(mass * values)
+            values = self._factor.solve(mass * values)
         return values
 
-    return smoothed
+
+def heat(vertices: FloatArray, faces: IntArray, width: float) -> Heat:
+    """Smoothing over a mesh (n, 3) mm, (f, 3), that spreads to `width` mm whatever its resolution."""
+    return Heat(*surface_energies(vertices, faces), width)

@@ -13,6 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from retarget.check import check_faces, check_vertices
+from retarget.geometry.laplacian import Heat
 from retarget.geometry.triangles import areas
 from retarget.types import FloatArray, IntArray, Regions
 from synth_data.arkit import SKIN_NAMES
@@ -22,7 +23,7 @@ from synth_data.personal.jaw import Excursion, JawMotion, jaw_motion
 from synth_data.personal.lids import LidAction, Lids, lids_of
 from synth_data.personal.mouth import Mouth, mouth_of
 from synth_data.personal.muscles import MUSCLES, Pull, pulls_of
-from synth_data.personal.shares import Blur, carried, skin_of, smoothstep
+from synth_data.personal.shares import carried, skin_of, smoothstep
 from synth_data.personal.sliding import Sliding, sliding_surface
 from synth_data.personal.traits import Traits
 
@@ -56,7 +57,7 @@ class PersonalFace:
     off_lids: FloatArray  # (n,) 0 on lids, which muscles of the cheek and brow do not drag off the eyeball
     soft: FloatArray  # (n,) 1 where compressed tissue thickens
     outside: IntArray  # triangles of the visible skin
-    blur: Blur
+    blur: Heat
     to_left: FloatArray  # (n,) 1 on the left half, 0 on the right
 
     def __call__(self, weights: FloatArray) -> FloatArray:

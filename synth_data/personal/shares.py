@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
 from retarget.geometry.cholesky import CholeskyFactor
-from retarget.geometry.laplacian import surface_energies
+from retarget.geometry.laplacian import Heat, surface_energies
 from retarget.types import FloatArray, IntArray
 
 LIPS_APART = 10.0  # mm that count as the distance between the lips
@@ -39,20 +39,8 @@ class Skin:
         """Values (n,) or (n, c) after heat has spread to a standard deviation of `width` mm."""
         return self.blur(width)(values)
 
-    def blur(self, width: float) -> Blur:
-        return Blur(CholeskyFactor(sp.diags_array(self.mass) + width**2 / 4 * self.stiffness, "heat"), self.mass)
-
-
-@dataclass(frozen=True)
-class Blur:
-    """Heat of one width in two implicit steps; what it keeps is the area's integral and the extremes."""
-
-    factor: CholeskyFactor
-    mass: FloatArray
-
-    def __call__(self, values: FloatArray) -> FloatArray:
-        mass = self.mass if values.ndim == 1 else self.mass[:, None]
-        return self.factor.solve(mass * self.factor.solve(mass * values))
+    def blur(self, width: float) -> Heat:
+        return Heat(self.stiffness, self.mass, width)
 
 
 def skin_of(vertices: FloatArray, faces: IntArray) -> Skin:
