@@ -8,6 +8,7 @@ import numpy as np
 
 from retarget.anatomy.crossings import self_intersections
 from retarget.check import InvalidInput
+from retarget.geometry.graph import half_edges
 from retarget.types import FloatArray, IntArray
 
 
@@ -23,7 +24,7 @@ def cap(name: str, vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, I
             f"{name}: expected a triangle at every vertex, got none at {len(loose)} of {len(vertices)}, the first is "
             f"vertex {loose[0]}; remove them, and close the hole that they may mark."
         )
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = half_edges(faces)
     low, high = np.sort(edges, axis=1).T
     keys, uses = np.unique(low * len(vertices) + high, return_counts=True)
     if uses.max() > 2:
@@ -70,14 +71,14 @@ def _loops(following: dict[int, int]) -> Iterator[list[int]]:
 
 def euler_number(faces: IntArray) -> int:
     """V - E + F over the vertices in use; 2 for a sphere."""
-    edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1), axis=0)
+    edges = np.unique(np.sort(half_edges(faces), axis=1), axis=0)
     return len(np.unique(faces)) - len(edges) + len(faces)
 
 
 def check_closed(name: str, vertices: FloatArray, faces: IntArray) -> None:
     """Raises InvalidInput unless the surface is closed, like a sphere (Euler number 2), outward and free of
     self-intersections."""
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    edges = np.sort(half_edges(faces), axis=1)
     _, uses = np.unique(edges, axis=0, return_counts=True)
     if (uses != 2).any():
         raise InvalidInput(

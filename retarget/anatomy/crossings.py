@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from retarget.geometry.graph import half_edges
 from retarget.types import FloatArray, IntArray
 
 _FLAT = 1e-9  # mm^3: less is rounding, as where triangles lie in one plane
@@ -14,7 +15,7 @@ _LARGEST = 128  # cells along an axis
 
 def self_intersections(vertices: FloatArray, faces: IntArray) -> IntArray:
     """(p, 2) pairs of triangles, an edge of one of which passes through the other; neighbours are left out."""
-    corners = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    corners = np.sort(half_edges(faces), axis=1)
     keys = corners[:, 0] * len(vertices) + corners[:, 1]
     _, first = np.unique(keys, return_index=True)
     edges, owner = np.ascontiguousarray(corners[first]), first % len(faces)

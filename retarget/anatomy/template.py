@@ -24,6 +24,7 @@ from retarget.anatomy.sizing import FINE_LOOPS, sizing_field
 from retarget.anatomy.skull import build_skull, check_parts
 from retarget.anatomy.tissue import Tissue, refine
 from retarget.check import InvalidInput, check_faces, check_vertices
+from retarget.geometry.graph import half_edges
 from retarget.simulation.tetrahedra import rest_shape
 from retarget.types import FloatArray, IntArray, Regions
 
@@ -168,7 +169,7 @@ def _skull_side(vertices: FloatArray, tets: IntArray, skin: Surface, skull: Surf
     centres = vertices[triangles].mean(axis=1)
     to_skin, to_skull = (distance_to(s, centres) for s in (skin, skull))
     faces: IntArray = triangles[to_skull < to_skin][:, ::-1]
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    edges = np.sort(half_edges(faces), axis=1)
     _, uses = np.unique(edges, axis=0, return_counts=True)
     if len(faces) == 0 or (uses % 2).any():
         raise InvalidInput(

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from retarget.check import InvalidInput
-from retarget.geometry.graph import components, vertex_adjacency
+from retarget.geometry.graph import components, half_edges, vertex_adjacency
 from retarget.types import FloatArray, IntArray
 
 WIDTH = 2.0  # mm off the curve at which an edge costs twice its length
@@ -21,7 +21,7 @@ SIDE = 4.0  # mm off the curve that a normal counts which is off the curve's by 
 
 def boundary_loops(faces: IntArray) -> list[IntArray]:
     """The open edges as closed loops of vertices, in the direction of their triangles; loops that touch are refused."""
-    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    ends = half_edges(faces)
     directed = {(int(a), int(b)) for a, b in ends}
     following: dict[int, int] = {}
     for a, b in sorted(directed):

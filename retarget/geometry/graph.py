@@ -9,6 +9,12 @@ from scipy.sparse.csgraph import connected_components
 from retarget.types import IntArray
 
 
+def half_edges(faces: IntArray) -> IntArray:
+    """(3f, 2) directed edges of triangles (f, 3): the first of all, then the second, then the third."""
+    edges: IntArray = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    return edges
+
+
 def vertex_adjacency(faces: IntArray, vertex_count: int) -> sp.csr_array:
     """(n, n) symmetric 0/1 matrix of the edges, without a diagonal, indices sorted."""
     i = faces.ravel()

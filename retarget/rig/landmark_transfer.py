@@ -28,7 +28,7 @@ import scipy.sparse as sp
 
 from retarget.check import InvalidInput, check_faces, check_frames, check_triangle_areas, check_vertices
 from retarget.geometry.cholesky import CholeskyFactor
-from retarget.geometry.graph import components, vertex_adjacency
+from retarget.geometry.graph import components, half_edges, vertex_adjacency
 from retarget.geometry.triangles import fourth_edges, gradient_operators
 from retarget.suggest import choose
 from retarget.types import FloatArray, IntArray, Pair, Regions
@@ -219,7 +219,7 @@ def lacking(faces: IntArray, vertex_count: int, regions: Regions) -> str | None:
 def _dual_laplacian(faces: IntArray) -> sp.csr_array:
     """(f, f) graph Laplacian of the triangles, which are neighbours where they share an edge."""
     f = len(faces)
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    edges = np.sort(half_edges(faces), axis=1)
     _, edge = np.unique(edges, axis=0, return_inverse=True)
     incidence = sp.csr_array((np.ones(3 * f), (np.tile(np.arange(f), 3), edge.ravel())))
     shared = (incidence @ incidence.T).tocsr()
