@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,12 +13,11 @@ from rich.console import Console
 
 from experiments.alm_study import AlmStudy, Case, cases, save, summary_of_errors
 from experiments.backend import limited_threads
-from experiments.catalogue import make_method, options
+from experiments.catalogue import MethodMaker
 from experiments.progress import progress
 from experiments.study import check_whole
 from reports.leave_out_sheet import Shown, write_leave_out_sheet
 from retarget.check import InvalidInput
-from retarget.suggest import choose
 from retarget.types import Examples, FloatArray, Prepared
 from synth_data.dataset import Dataset
 
@@ -27,15 +26,10 @@ from synth_data.dataset import Dataset
 class LeaveOutStudy(AlmStudy):
     """``conf/study/alm_leave_out.yaml``. expressions: how many of the shapes each fold holds out."""
 
-    methods: list[str]
     folds: int
     shown: int
 
     def check(self) -> None:
-        if not isinstance(self.methods, list) or not self.methods:
-            raise InvalidInput(f"study.methods: expected a list of methods, got {self.methods!r}.")
-        for name in self.methods:
-            choose("study.methods", name, options("method"))
         check_whole("study.folds", self.folds, 1)
         check_whole("study.shown", self.shown, 0)
         if self.folds * self.expressions > self.shapes or self.expressions >= self.shapes:
@@ -45,13 +39,23 @@ class LeaveOutStudy(AlmStudy):
             )
 
 
-def leave_out(study: LeaveOutStudy, dataset: Dataset, threads: int, folder: Path, console: Console) -> None:
-    """Run the study and write ``records.csv``, ``summary.csv`` and ``alm_leave_out.pdf``."""
+def leave_out(
+    study: LeaveOutStudy,
+    makers: Sequence[MethodMaker],
+    dataset: Dataset,
+    threads: int,
+    folder: Path,
+    console: Console,
+) -> None:
+    """Run the study and write ``records.csv``, ``summary.csv`` and ``alm_leave_out.pdf``.
+
+    The summary compares the first method with each of the others.
+    """
     rows: list[dict[str, object]] = []
     shown: list[Shown] = []
     with limited_threads(threads), progress(console, "pairs", study.pairs) as advance:
         for case in cases(replace(study, expressions=1), dataset):
-            methods = {name: make_method(name).prepare(case.pair) for name in study.methods}
+            methods = {maker.name: maker().prepare(case.pair) for maker in makers}
             for fold in range(study.folds):
                 held, frames = folded(study, case, methods, fold)
                 errors = {name: held.error(found, held.truth) for name, found in frames.items()}
@@ -71,7 +75,7 @@ def leave_out(study: LeaveOutStudy, dataset: Dataset, threads: int, folder: Path
                     shown.append(_liveliest(held, frames, errors))
             advance(1)
     records = pd.DataFrame(rows)
-    summary = summary_of_errors(records, study.methods[0])
+    summary = summary_of_errors(records, makers[0].name)
     with tempfile.TemporaryDirectory(prefix="sheet-") as work:
         write_leave_out_sheet(folder / f"{study.name}.pdf", study.title, study.description, shown, summary, Path(work))
     save(study, records, summary, folder, console)

@@ -13,14 +13,13 @@ from rich.console import Console
 from baselines.alm import AnatomicalLocalModels
 from experiments.alm_study import AlmStudy, Case, cases, write
 from experiments.backend import limited_threads
-from experiments.catalogue import make_method, options
+from experiments.catalogue import MethodMaker
 from experiments.progress import progress
 from experiments.study import check_whole
 from reports.curves_sheet import Panel
 from retarget.check import InvalidInput
 from retarget.geometry.graph import vertex_adjacency
 from retarget.rig.local_model.layout import OverlappingPatches
-from retarget.suggest import choose
 from retarget.types import FloatArray, IntArray
 from synth_data.dataset import Dataset
 
@@ -30,14 +29,12 @@ VARIABLES = {"rings": "rings of overlap", "lambda_overlap": "lambda_O"}
 
 @dataclass(frozen=True, kw_only=True)
 class OverlapStudy(AlmStudy):
-    """``conf/study/alm_overlap.yaml``. method: without its second step, as in Fig. 13."""
+    """``conf/study/alm_overlap.yaml``."""
 
-    method: str
     rings: list[int]
     lambda_overlap: list[float]
 
     def check(self) -> None:
-        choose("study.method", self.method, options("method"))
         for name in VARIABLES:
             listed = getattr(self, name)
             if not isinstance(listed, list) or not listed:
@@ -46,25 +43,32 @@ class OverlapStudy(AlmStudy):
             check_whole("study.rings", value, 0)
 
 
-def vary(study: OverlapStudy, dataset: Dataset, threads: int, folder: Path, console: Console) -> None:
-    """Run the study and write ``records.csv``, ``summary.csv`` and ``alm_overlap.pdf``."""
+def vary(
+    study: OverlapStudy, maker: MethodMaker, dataset: Dataset, threads: int, folder: Path, console: Console
+) -> None:
+    """Run the study and write ``records.csv``, ``summary.csv`` and ``alm_overlap.pdf``.
+
+    The method is taken without its second step, as in Fig. 13. Raises InvalidInput unless it is one of ALM.
+    """
     rows: list[dict[str, object]] = []
     with limited_threads(threads), progress(console, "pairs", study.pairs) as advance:
         for case in cases(study, dataset):
             for variable in VARIABLES:
                 for value in getattr(study, variable):
-                    rows += measured(study, case, variable, value)
+                    rows += measured(maker, case, variable, value)
             advance(1)
     records = pd.DataFrame(rows)
     summary = records.groupby(["variable", "value"], sort=False)[list(MEASURES)].mean().reset_index()
     write(study, records, summary, _panels(summary), folder, console)
 
 
-def measured(study: OverlapStudy, case: Case, variable: str, value: float) -> list[dict[str, object]]:
+def measured(maker: MethodMaker, case: Case, variable: str, value: float) -> list[dict[str, object]]:
     """A row for each expression."""
-    method = make_method(study.method, **{variable: value})
+    method = maker(**{variable: value})
     if not isinstance(method, AnatomicalLocalModels):
-        raise InvalidInput(f"study.method: expected a configuration of ALM, got {study.method!r}.")
+        raise InvalidInput(
+            f"method: this study is of ALM, got {maker.name}; choose one with 'method=[alm_patch_only]'."
+        )
     fitted: Any = method.prepare(case.pair).fit(case.shapes, case.span)
     result = fitted(case.frames)
     edges = borders(fitted.target.layout, case.pair.faces, case.head)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from rich.console import Console
 
 from experiments.alm_study import AlmStudy, Case, cases, write
 from experiments.backend import limited_threads
-from experiments.catalogue import make_method
+from experiments.catalogue import MethodMaker
 from experiments.progress import progress
 from experiments.study import check_whole
 from reports.curves_sheet import Panel
@@ -19,6 +20,7 @@ from retarget.check import InvalidInput
 from synth_data.dataset import Dataset
 
 UNITS = {"millimetres": 1.0, "centimetres": 10.0, "metres": 1000.0}
+METHODS = ("alm", "alm_paper", "lbs")
 LOCAL, GLOBAL = "patches", "global blendshapes"
 
 
@@ -37,19 +39,27 @@ class ShapesStudy(AlmStudy):
             raise InvalidInput(f"study.counts: expected at most study.shapes = {self.shapes}, got {self.counts[-1]}.")
 
 
-def grow(study: ShapesStudy, dataset: Dataset, threads: int, folder: Path, console: Console) -> None:
-    """Run the study and write ``records.csv``, ``summary.csv`` and ``alm_shapes.pdf``."""
+def grow(
+    study: ShapesStudy, makers: Sequence[MethodMaker], dataset: Dataset, threads: int, folder: Path, console: Console
+) -> None:
+    """Run the study and write ``records.csv``, ``summary.csv`` and ``alm_shapes.pdf``.
+
+    Raises InvalidInput unless the methods are those of `METHODS`; each with the settings that it was given.
+    """
+    chosen = {maker.name: maker for maker in makers}
+    if set(chosen) != set(METHODS):
+        raise InvalidInput(f"method: this study compares {', '.join(METHODS)}, got {', '.join(chosen)}; leave it out.")
     rows: list[dict[str, object]] = []
     with limited_threads(threads), progress(console, "pairs", study.pairs) as advance:
         for case in cases(study, dataset):
-            rows += measured(study, case)
+            rows += measured(study, chosen, case)
             advance(1)
     records = pd.DataFrame(rows)
     summary = records.groupby(["measure", "row", "shapes"], sort=False)["mm"].mean().reset_index()
     write(study, records, summary, _panels(summary), folder, console)
 
 
-def measured(study: ShapesStudy, case: Case) -> list[dict[str, object]]:
+def measured(study: ShapesStudy, makers: Mapping[str, MethodMaker], case: Case) -> list[dict[str, object]]:
     """Errors in mm of every expression, by measure, row and number of shapes."""
     rows: list[dict[str, object]] = []
 
@@ -57,8 +67,8 @@ def measured(study: ShapesStudy, case: Case) -> list[dict[str, object]]:
         about = {"source": case.source, "target": case.target, "measure": measure, "row": row, "shapes": count}
         rows.extend({**about, "expression": name, "mm": value} for name, value in zip(names, values, strict=True))
 
-    alm = make_method("alm").prepare(case.pair)
-    lbs = make_method("lbs").prepare(case.pair)
+    alm = makers["alm"]().prepare(case.pair)
+    lbs = makers["lbs"]().prepare(case.pair)
     whole = alm.fit(case.first(study.counts[-1]), case.span)(case.frames).frames
     for count in study.counts:
         examples = case.first(count)
@@ -75,7 +85,7 @@ def measured(study: ShapesStudy, case: Case) -> list[dict[str, object]]:
     tuned = alm.fit(known, case.span)(known.source).frames
     add("own examples", "alm", known.count, case.error(tuned, known.target), names)
     for unit, length in UNITS.items():
-        paper = make_method("alm_paper", length_mm=length).prepare(case.pair)
+        paper = makers["alm_paper"](length_mm=length).prepare(case.pair)
         found = paper.fit(known, case.span)(known.source).frames
         add("own examples", f"alm_paper in {unit}", known.count, case.error(found, known.target), names)
     return rows

@@ -109,30 +109,35 @@ def _intervene(config: DictConfig, folder: Path, console: Console) -> None:
     intervene(study, only_method(config), _dataset(config, console), config.backend.threads, folder, console)
 
 
+def makers(config: DictConfig) -> list[MethodMaker]:
+    """The chosen methods with their settings."""
+    return [MethodMaker(name, settings) for name, settings in _chosen(config, "method")]
+
+
 def only_method(config: DictConfig) -> MethodMaker:
     """The one method of a study of one. Raises InvalidInput for more."""
-    chosen = dict(_chosen(config, "method"))
+    chosen = makers(config)
     if len(chosen) != 1:
         raise InvalidInput(
-            f"method: study {config.study.name} shows one method, got {', '.join(chosen)}; choose it with "
-            "'method=[NAME]'."
+            f"method: study {config.study.name} shows one method, got {', '.join(maker.name for maker in chosen)}; "
+            "choose it with 'method=[NAME]'."
         )
-    return MethodMaker(*chosen.popitem())
+    return chosen[0]
 
 
 def _grow(config: DictConfig, folder: Path, console: Console) -> None:
     study = ShapesStudy.from_config(_study(config))
-    grow(study, _dataset(config, console), config.backend.threads, folder, console)
+    grow(study, makers(config), _dataset(config, console), config.backend.threads, folder, console)
 
 
 def _vary(config: DictConfig, folder: Path, console: Console) -> None:
     study = OverlapStudy.from_config(_study(config))
-    vary(study, _dataset(config, console), config.backend.threads, folder, console)
+    vary(study, only_method(config), _dataset(config, console), config.backend.threads, folder, console)
 
 
 def _leave_out(config: DictConfig, folder: Path, console: Console) -> None:
     study = LeaveOutStudy.from_config(_study(config))
-    leave_out(study, _dataset(config, console), config.backend.threads, folder, console)
+    leave_out(study, makers(config), _dataset(config, console), config.backend.threads, folder, console)
 
 
 KINDS: dict[str, Callable[[DictConfig, Path, Console], None]] = {

@@ -15,6 +15,7 @@ from experiments.alm_leave_out import LeaveOutStudy, leave_out
 from experiments.alm_overlap import OverlapStudy, borders, vary
 from experiments.alm_shapes import ShapesStudy, grow
 from experiments.alm_study import AlmStudy, cases
+from experiments.catalogue import MethodMaker
 from retarget.check import InvalidInput
 from retarget.rig.local_model.layout import OverlappingPatches
 from tests.conformance.box import heads_are_boxes
@@ -26,11 +27,10 @@ SHAPES = {**COMMON, "name": "alm_shapes", "counts": [2, 6]}
 OVERLAP = {
     **COMMON,
     "name": "alm_overlap",
-    "method": "alm_patch_only_paper",
     "rings": [0, 3],
     "lambda_overlap": [0.0, 1e6],
 }
-LEAVE_OUT = {**COMMON, "name": "alm_leave_out", "methods": ["alm", "lbs", "delta"], "folds": 2, "shown": 1}
+LEAVE_OUT = {**COMMON, "name": "alm_leave_out", "folds": 2, "shown": 1}
 
 
 @pytest.fixture(autouse=True)
@@ -40,12 +40,16 @@ def small() -> Iterator[None]:
         yield
 
 
+def makers(*names: str) -> list[MethodMaker]:
+    return [MethodMaker.of(name) for name in names]
+
+
 def console() -> Console:
     return Console(file=io.StringIO(), width=200)
 
 
 def test_more_shapes_rebuild_the_source_better(tmp_path: Path) -> None:
-    grow(ShapesStudy.from_config(SHAPES), block(), 1, tmp_path, console())
+    grow(ShapesStudy.from_config(SHAPES), makers("alm", "alm_paper", "lbs"), block(), 1, tmp_path, console())
     summary = pd.read_csv(tmp_path / "summary.csv").set_index(["measure", "row", "shapes"])["mm"]
     for row in ("patches", "global blendshapes"):
         assert summary["source rebuilt", row, 6] < summary["source rebuilt", row, 2]
@@ -58,7 +62,7 @@ def test_more_shapes_rebuild_the_source_better(tmp_path: Path) -> None:
 
 
 def test_overlap_closes_gaps_and_coupling_costs_expression(tmp_path: Path) -> None:
-    vary(OverlapStudy.from_config(OVERLAP), block(), 1, tmp_path, console())
+    vary(OverlapStudy.from_config(OVERLAP), MethodMaker.of("alm_patch_only_paper"), block(), 1, tmp_path, console())
     summary = pd.read_csv(tmp_path / "summary.csv").set_index(["variable", "value"])
     jump = summary["jump between patches"]
     assert jump["rings", 3] < jump["rings", 0]
@@ -68,7 +72,7 @@ def test_overlap_closes_gaps_and_coupling_costs_expression(tmp_path: Path) -> No
 
 
 def test_every_shape_is_held_out_at_most_once(tmp_path: Path) -> None:
-    leave_out(LeaveOutStudy.from_config(LEAVE_OUT), block(), 1, tmp_path, console())
+    leave_out(LeaveOutStudy.from_config(LEAVE_OUT), makers("alm", "lbs", "delta"), block(), 1, tmp_path, console())
     records = pd.read_csv(tmp_path / "records.csv")
     held = records[records["method"] == "alm"]
     assert held["shape"].is_unique
@@ -102,9 +106,7 @@ def test_borders_join_the_cores_of_two_patches() -> None:
         (ShapesStudy, SHAPES, {"counts": [2, 9]}, "at most study.shapes"),
         (ShapesStudy, SHAPES, {"pairs": 0}, "study.pairs"),
         (OverlapStudy, OVERLAP, {"rings": [-1]}, "study.rings"),
-        (OverlapStudy, OVERLAP, {"method": "alm_patches"}, "study.method"),
         (LeaveOutStudy, LEAVE_OUT, {"folds": 9}, "study.folds"),
-        (LeaveOutStudy, LEAVE_OUT, {"methods": []}, "study.methods"),
     ],
 )
 def test_settings_out_of_range_are_refused(
@@ -114,7 +116,8 @@ def test_settings_out_of_range_are_refused(
         kind.from_config({**config, **change})
 
 
-def test_a_method_of_another_kind_is_refused(tmp_path: Path) -> None:
-    study = OverlapStudy.from_config({**OVERLAP, "method": "lbs", "rings": [0]})
-    with pytest.raises(InvalidInput, match=r"lbs|rings"):
-        vary(study, block(), 1, tmp_path, console())
+def test_methods_of_another_kind_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match=r"rings.*got lbs"):
+        vary(OverlapStudy.from_config(OVERLAP), MethodMaker.of("lbs"), block(), 1, tmp_path, console())
+    with pytest.raises(InvalidInput, match="compares alm, alm_paper, lbs, got alm"):
+        grow(ShapesStudy.from_config(SHAPES), makers("alm"), block(), 1, tmp_path, console())
