@@ -9,7 +9,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
+from retarget.check import InvalidInput
 from retarget.types import FloatArray, IntArray, Regions
 
 Progress = Callable[[str], None]  # told one line per step that takes long
@@ -43,6 +45,27 @@ class Dataset(ABC):
     @abstractmethod
     def frames(self, identity: str, indices: Sequence[int]) -> FloatArray:
         """(len(indices), n, 3) mm: the expressions with these indices, neutral included in the positions."""
+
+    def perform(self, identity: str, weights: FloatArray) -> FloatArray:
+        """(t, n, 3) mm: an animation, given as weights (t, 51) of `synth_data.arkit.SKIN_NAMES`.
+
+        Raises InvalidInput for a dataset of scans, which shows what was scanned and nothing else.
+        """
+        raise InvalidInput(
+            f"dataset {self.conditions.dataset}: expected identities that perform any blending weights, got fixed "
+            "expressions. Choose a dataset with rigs, such as dataset=makehuman."
+        )
+
+
+@runtime_checkable
+class Rigged(Protocol):
+    """A dataset whose identities perform any blending weights, not only those of its expressions."""
+
+    weights: FloatArray  # (N, 51) of `synth_data.arkit.SKIN_NAMES`, those of the expressions
+
+    def perform(self, identity: str, weights: FloatArray) -> FloatArray:
+        """(t, n, 3) mm for weights (t, 51) of `synth_data.arkit.SKIN_NAMES`, by the dataset's kind of truth."""
+        ...
 
 
 class DatasetConfig(ABC):

@@ -129,7 +129,11 @@ class MakeHumanDataset(Dataset):
                 f"expressions: expected indices from 0 to {len(self.expressions) - 1}, got {chosen.min()} to "
                 f"{chosen.max()}; raise `dataset.expressions`."
             )
-        return self.subdivision(self.performers[self._known(identity)](self.weights[chosen]))
+        return self.perform(identity, self.weights[chosen])
+
+    def perform(self, identity: str, weights: FloatArray) -> FloatArray:
+        """(t, n, 3) mm for weights (t, 51) of `synth_data.arkit.SKIN_NAMES`: `synth_data.dataset.Rigged`."""
+        return self.subdivision(self.performers[self._known(identity)](weights))
 
     def _known(self, identity: str) -> str:
         if identity not in self.neutrals:
