@@ -10,8 +10,8 @@ import numpy as np
 from retarget.check import InvalidInput
 from retarget.types import FloatArray
 from synth_data.arkit import SKIN_NAMES
+from synth_data.noise import ScanNoise, check_noise
 from synth_data.personal.face import PersonalFace
-from synth_data.personal.shares import skin_of
 
 # Units without a side are done by both. The weights are what the person was asked for, hence the estimate that
 # example-based rigging starts from; gains, asymmetry and response of the person are not in them.
@@ -41,8 +41,6 @@ SCANS: Mapping[str, Mapping[str, float]] = {
     "mouth_left": {"mouthLeft": 1.0},
     "mouth_right": {"mouthRight": 1.0},
 }
-SMOOTH_NOISE = 15.0  # mm over which the smooth half of the noise changes
-_STREAM = 6  # of the seed
 
 
 @dataclass(frozen=True)
@@ -71,19 +69,10 @@ def personal_scans(face: PersonalFace, noise: float = 0.0) -> tuple[Scan, ...]:
     noise is the RMS length in mm of what the scanner adds to each vertex, half of its variance smooth, half white.
     The same face and noise give the same bits. Raises InvalidInput for noise below zero.
     """
-    if not 0 <= noise < np.inf:
-        raise InvalidInput(f"noise: expected millimetres from 0 on, got {noise}; 0.1 and 0.3 are usual.")
+    check_noise("noise", noise)
     weights = np.stack([unit_weights(units) for units in SCANS.values()])
     frames = face(weights)
     if noise > 0:
-        frames = frames + noise * np.stack([scan_noise(face, name) for name in SCANS])
+        added = ScanNoise(f"seed {face.traits.seed}", face.neutral, face.faces)
+        frames = frames + noise * np.stack([added(name) for name in SCANS])
     return tuple(Scan(name, w, v) for name, w, v in zip(SCANS, weights, frames, strict=True))
-
-
-def scan_noise(face: PersonalFace, name: str) -> FloatArray:
-    """(n, 3) mm of unit RMS length, drawn for one scan of one person: half smooth, half white."""
-    entropy = [face.traits.seed, _STREAM, *name.encode()]
-    smooth, white = np.random.default_rng(np.random.SeedSequence(entropy)).standard_normal((2, *face.neutral.shape))
-    smooth = skin_of(face.neutral, face.faces).blurred(smooth, SMOOTH_NOISE)
-    parts = [part / np.sqrt(np.mean(np.sum(part**2, axis=1))) for part in (smooth, white)]
-    return np.asarray(np.sqrt(0.5) * (parts[0] + parts[1]))
