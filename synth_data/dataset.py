@@ -65,6 +65,29 @@ class Rigged(Protocol):
         """(t, n, 3) mm for weights (t, 51) of `synth_data.arkit.SKIN_NAMES`, by the dataset's kind of truth."""
         ...
 
+    def scanned_neutral(self, identity: str) -> FloatArray:
+        """(n, 3) mm: the neutral with the scanner's noise."""
+        return self.as_scanned(identity, (NEUTRAL,), self.neutral(identity)[None])[0]
+
+    def scanned(self, identity: str, indices: Sequence[int]) -> FloatArray:
+        """(len(indices), n, 3) mm: the expressions with the scanner's noise."""
+        return self.as_scanned(identity, [self.expressions[i] for i in indices], self.frames(identity, indices))
+
+    def scanned_pair(self, source: str, target: str) -> Pair:
+        """Two identities as a method gets them."""
+        return Pair(self.faces, self.scanned_neutral(source), self.scanned_neutral(target), self.regions)
+
+    def as_scanned(self, identity: str, names: Sequence[str], clean: FloatArray) -> FloatArray:
+        """(k, n, 3) mm: clean frames (k, n, 3) mm, scanned under these names (k,), with the noise of the conditions."""
+        amount = self.conditions.noise_mm
+        if amount == 0 or not len(names):
+            return clean
+        noise = ScanNoise(identity, self.neutral(identity), self.faces)
+        scans = np.empty(clean.shape)
+        for i, name in enumerate(names):
+            scans[i] = clean[i] + amount * noise(name)
+        return scans
+
 
 class DatasetConfig(ABC):
     """A frozen dataclass of settings that Hydra makes from ``conf/dataset/*.yaml``."""
