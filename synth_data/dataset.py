@@ -54,17 +54,6 @@ class Dataset(ABC):
     def frames(self, identity: str, indices: Sequence[int]) -> FloatArray:
         """(len(indices), n, 3) mm: the expressions with these indices, neutral included in the positions."""
 
-
-@runtime_checkable
-class Rigged(Protocol):
-    """A dataset whose identities perform any blending weights, not only those of its expressions."""
-
-    weights: FloatArray  # (N, 51) of `synth_data.arkit.SKIN_NAMES`, those of the expressions
-
-    def perform(self, identity: str, weights: FloatArray) -> FloatArray:
-        """(t, n, 3) mm for weights (t, 51) of `synth_data.arkit.SKIN_NAMES`, by the dataset's kind of truth."""
-        ...
-
     def scanned_neutral(self, identity: str) -> FloatArray:
         """(n, 3) mm: the neutral with the scanner's noise."""
         return self.as_scanned(identity, (NEUTRAL,), self.neutral(identity)[None])[0]
@@ -87,6 +76,17 @@ class Rigged(Protocol):
         for i, name in enumerate(names):
             scans[i] = clean[i] + amount * noise(name)
         return scans
+
+
+@runtime_checkable
+class Rigged(Protocol):
+    """A dataset whose identities perform any blending weights, not only those of its expressions."""
+
+    weights: FloatArray  # (N, 51) of `synth_data.arkit.SKIN_NAMES`, those of the expressions
+
+    def perform(self, identity: str, weights: FloatArray) -> FloatArray:
+        """(t, n, 3) mm for weights (t, 51) of `synth_data.arkit.SKIN_NAMES`, by the dataset's kind of truth."""
+        ...
 
 
 class DatasetConfig(ABC):
