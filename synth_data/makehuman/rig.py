@@ -1,120 +1,30 @@
-"""A personal ARKit rig: the shared face units, made one person's own.
-
-MakeHuman's units are one displacement field for everybody, so an untouched rig would be delta transfer by
-construction. Here unit j of a person displaces vertex i by
-
-    gain_j * s_i R_i (I + M_j(x_i)) delta_ij
-
-where (s_i, R_i) is the local similarity from the base head to the identity, M_j a smooth random tensor field (a
-part shared by all units of the person, and a part of each unit) and gain_j a random factor with left/right
-asymmetry. The form keeps what a unit must keep: it moves nothing where the base unit moves nothing, and
-neighbours across the lips or the lids move alike.
-"""
+"""MakeHuman's 51 ARKit units as the rig that all of its people share."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
-
 import numpy as np
-import scipy.sparse as sp
-from scipy.spatial import cKDTree
 
 from retarget.types import FloatArray, Regions
-from synth_data.arkit import MIRRORED, SKIN_NAMES
+from synth_data.arkit import SKIN_NAMES
 from synth_data.makehuman.head import BaseHead
 from synth_data.makehuman.identities import Identity
-from synth_data.makehuman.lids import close_lids
 from synth_data.makehuman.targets import Targets
+from synth_data.personal.traits import draw_traits
+from synth_data.truth import GenericRig, Person
+from synth_data.truths.personal_blendshapes import personal_deltas
 
-GAIN_DEVIATION = 0.1  # of the logarithm of a unit's gain
-ASYMMETRY = 0.1  # deviation of the relative difference of a unit's gain to its mirror image's
-FIELD_DEVIATION = 0.108  # of each entry of the tensor field
-FIELD_LENGTH = 40.0  # mm over which the tensor field changes
-SHARED = 0.4  # share of the field's variance that all units of a person have in common
-LOPSIDED = 0.1  # share of the field's variance that is not mirror-symmetric
-NEIGHBOURHOOD = 12.0  # mm, of the local similarity
-TIED = {"mouthClose": "jawOpen"}  # closes the lips that the other one opens, so it must be personalised alike
-FLIP = np.array([-1.0, 1.0, 1.0])
 
-_STREAM = 2  # of the seed
+def generic_rig(head: BaseHead, targets: Targets, regions: Regions) -> GenericRig:
+    """The face units on the base head, made symmetric: the artist's sides differ by up to 2.2 mm (mouthFunnel)."""
+    units = np.stack([targets[f"units/{name}"] for name in SKIN_NAMES])
+    return GenericRig(head.vertices, head.faces, units, regions).symmetrised()
+
+
+def person_of(identity: Identity) -> Person:
+    """Identity, seed and age of a synthetic adult as a truth needs them."""
+    return Person(identity.vertices, draw_traits(identity.seed, identity.age))
 
 
 def personal_rig(identity: Identity, head: BaseHead, targets: Targets, regions: Regions) -> FloatArray:
-    """(51, n, 3) mm: displacements of `SKIN_NAMES` at full strength for one identity; a full blink closes the eye."""
-    deltas = np.stack([targets[f"units/{name}"] for name in SKIN_NAMES])
-    similarity = local_similarity(head.vertices, identity.vertices)
-    person = _Person(identity.seed, head)
-    for delta, name in zip(deltas, SKIN_NAMES, strict=True):
-        tensor = person.gain(name) * similarity @ (np.eye(3) + person.field(name))
-        delta[:] = np.einsum("nij,nj->ni", tensor, delta)
-    for side in ("left", "right"):
-        blink = SKIN_NAMES.index(f"eyeBlink{side.title()}")
-        deltas[blink] = close_lids(deltas[blink], identity.vertices, head.vertices, regions, side)
-    return deltas
-
-
-def local_similarity(base: FloatArray, vertices: FloatArray) -> FloatArray:
-    """(n, 3, 3) scale times rotation of the best similarity from base to vertices (n, 3) around each vertex."""
-    near = cKDTree(base).sparse_distance_matrix(cKDTree(base), 2.5 * NEIGHBOURHOOD, output_type="coo_matrix")
-    weights = sp.csr_array((np.exp(-0.5 * (near.data / NEIGHBOURHOOD) ** 2), near.coords), shape=near.shape)
-    weights = sp.diags_array(1 / np.asarray(weights.sum(axis=1))) @ weights
-    mean_base, mean = weights @ base, weights @ vertices
-    products = (vertices[:, :, None] * base[:, None, :]).reshape(-1, 9)
-    covariance = (weights @ products).reshape(-1, 3, 3) - mean[:, :, None] * mean_base[:, None, :]
-    variance = weights @ (base**2).sum(axis=1) - (mean_base**2).sum(axis=1)
-    u, sigma, vt = np.linalg.svd(covariance)
-    sigma[:, 2] *= (sign := np.sign(np.linalg.det(u @ vt)))
-    u[:, :, 2] *= sign[:, None]
-    return (sigma.sum(axis=1) / variance)[:, None, None] * (u @ vt)
-
-
-@dataclass(frozen=True)
-class _Person:
-    """The random traits of one seed, each drawn from a stream of its own, by name."""
-
-    seed: int
-    head: BaseHead
-
-    def gain(self, name: str) -> float:
-        name = TIED.get(name, name)
-        pair = min(name, MIRRORED[name])
-        overall, difference = self._rng("gain", pair).normal(0, (GAIN_DEVIATION, ASYMMETRY))
-        side = 0.0 if name == MIRRORED[name] else 0.5 if name == pair else -0.5
-        return float(np.exp(overall) * (1 + side * difference))
-
-    def field(self, name: str) -> FloatArray:
-        """(n, 3, 3) the tensor field of a unit; that of its mirror image is its mirror image, up to `LOPSIDED`."""
-        name = TIED.get(name, name)
-        pair = min(name, MIRRORED[name])
-        own = self._smooth("unit", pair)
-        if name == MIRRORED[name]:
-            own = self._symmetrised(own)
-        elif name != pair:
-            own = self._mirrored(own)
-        lopsided = self._smooth("lopsided", name)
-        even = np.sqrt(SHARED) * self._of_all_units + np.sqrt(1 - SHARED) * own
-        return FIELD_DEVIATION * (np.sqrt(1 - LOPSIDED) * even + np.sqrt(LOPSIDED) * lopsided)
-
-    @cached_property
-    def _of_all_units(self) -> FloatArray:
-        return self._symmetrised(self._smooth("person"))
-
-    def _smooth(self, *stream: str) -> FloatArray:
-        """(n, 3, 3) random field of unit mean square over the head, by random Fourier features."""
-        rng = self._rng(*stream)
-        count = 48
-        waves, phases = rng.standard_normal((3, count)) / FIELD_LENGTH, rng.uniform(0, 2 * np.pi, count)
-        features = np.cos(self.head.vertices @ waves + phases) * np.sqrt(2 / count)
-        field = features @ rng.standard_normal((count, 9))
-        return (field / np.sqrt(np.mean(field**2))).reshape(-1, 3, 3)
-
-    def _symmetrised(self, field: FloatArray) -> FloatArray:
-        return (field + self._mirrored(field)) / np.sqrt(2)
-
-    def _mirrored(self, field: FloatArray) -> FloatArray:
-        return field[self.head.mirror] * np.outer(FLIP, FLIP)
-
-    def _rng(self, *stream: str) -> np.random.Generator:
-        words = (byte for word in stream for byte in [*word.encode(), 0])
-        return np.random.default_rng(np.random.SeedSequence([self.seed, _STREAM, *words]))
+    """(51, n, 3) mm: the displacements of an identity under the truth `personal_blendshapes`."""
+    return personal_deltas(person_of(identity), generic_rig(head, targets, regions))

