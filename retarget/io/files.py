@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -30,8 +31,33 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         ) from error
 
 
-def check_folder(folder: Path) -> None:
-    """Raises InvalidInput unless files can be written there; clears what a killed process left half written."""
+def write_whole_folder(folder: Path, write: Callable[[Path], object]) -> None:
+    """Call write(temporary folder) and move the result to folder, in the place of what was there. Raises InvalidInput.
+
+    A folder that is there stays as it was until the new one is complete.
+    """
+    temporary, old = (folder.with_name(f".{folder.name}.{os.getpid()}.tmp.{what}") for what in ("new", "old"))
+    try:
+        temporary.mkdir(parents=True)
+        write(temporary)
+        if folder.exists():
+            folder.replace(old)
+        temporary.replace(folder)
+    except OSError as error:
+        raise InvalidInput(
+            f"{folder}: it cannot be written ({error.strerror or error}). Nothing there was changed. Free some space or "
+            "choose another folder."
+        ) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def check_folder(folder: Path, setting: str = "paths.results=FOLDER") -> None:
+    """Raises InvalidInput unless files can be written there; clears what a killed process left half written.
+
+    `setting` is what chooses another folder.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -39,7 +65,7 @@ def check_folder(folder: Path) -> None:
     except OSError as error:
         raise InvalidInput(
             f"{folder}: nothing can be written there ({error.strerror or error}). Make the folder writable or choose "
-            "another with paths.results=FOLDER."
+            f"another with {setting}."
         ) from error
     for temporary in folder.glob("*/.*.tmp.*"):
         writer = temporary.name.split(".tmp.")[0].rsplit(".", 1)[-1]
