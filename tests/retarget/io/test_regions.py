@@ -112,7 +112,7 @@ def test_meshes_come_back_from_files(tmp_path: Path) -> None:
         ("a.obj", "v 0 0 0\nv nan 0 0\nv 0 1 0\nf 1 2 3\n", "NaN"),
         ("a.obj", "v 0 0 0\n", "expected at least one triangle"),
         ("a.ply", "no ply", "cannot be read"),
-        ("a.stl", "", "expected .obj or .ply"),
+        ("a.stl", "", "expected .obj, .ply or .npz"),
     ],
 )
 def test_bad_meshes_are_refused(tmp_path: Path, name: str, text: str, message: str) -> None:
