@@ -1,4 +1,4 @@
-"""`python -m experiments run|report|gate|list`."""
+"""`python -m experiments run|report|gate|survey|list`."""
 
 from experiments.cli import main
 

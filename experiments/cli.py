@@ -27,6 +27,7 @@ Offline facial retargeting: an honest comparison of methods.
   python -m experiments run      run a study, write its tables and its report PDF
   python -m experiments report   build the report again, or one report of several results folders
   python -m experiments gate     compare a finished study with the accuracy gates under version control
+  python -m experiments survey   make a ranking questionnaire of a finished study, or analyse what raters returned
   python -m experiments list     methods, datasets, studies, metrics: a sentence each
 
 `python -m experiments COMMAND --help` shows every setting of a command.
@@ -119,6 +120,14 @@ def gate(config: DictConfig) -> None:
         sys.exit(1)
 
 
+@hydra.main(config_name="survey", **HYDRA_MAIN)
+@with_readable_errors
+def survey(config: DictConfig) -> None:
+    from experiments.survey import survey as make_or_analyse
+
+    make_or_analyse(config, Path(config.paths.results).absolute() / config.study.name, Console())
+
+
 @hydra.main(config_name="list", **HYDRA_MAIN)
 @with_readable_errors
 def list_options(config: DictConfig) -> None:
@@ -127,4 +136,10 @@ def list_options(config: DictConfig) -> None:
     print_catalogue(Console())
 
 
-COMMANDS: dict[str, Callable[[], None]] = {"run": run, "report": report, "gate": gate, "list": list_options}
+COMMANDS: dict[str, Callable[[], None]] = {
+    "run": run,
+    "report": report,
+    "gate": gate,
+    "survey": survey,
+    "list": list_options,
+}

@@ -16,7 +16,13 @@ from retarget.check import InvalidInput
 from retarget.io.files import check_folder
 from retarget.suggest import choose, nearest
 
-CHOICES = {"run": GROUPS, "report": ("study", "scale"), "gate": ("study", "scale"), "list": ()}
+CHOICES = {
+    "run": GROUPS,
+    "report": ("study", "scale"),
+    "gate": ("study", "scale"),
+    "survey": ("study", "scale", "questionnaire"),
+    "list": (),
+}
 _HYDRA_GROUPS = ("hydra", "paths")
 
 
