@@ -91,7 +91,10 @@ def folded(
     build = np.setdiff1d(np.arange(case.shapes.count), out)
     known = Examples(case.shapes.target[build], case.shapes.source[build])
     names = tuple(case.names[i] for i in out)
-    held = replace(case, shapes=known, tests=names, frames=case.shapes.source[out], truth=case.shapes.target[out])
+    true = case.true_shapes
+    held = replace(
+        case, shapes=known, true_shapes=true[build], tests=names, frames=case.shapes.source[out], truth=true[out]
+    )
     found = {name: prepared.fit(known, case.span)(held.frames).frames for name, prepared in methods.items()}
     return held, found
 

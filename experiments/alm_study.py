@@ -50,12 +50,13 @@ class AlmStudy:
 
 @dataclass(frozen=True)
 class Case:
-    """A pair of people, shapes of both, and expressions that are none of them."""
+    """A pair of people, shapes of both, and expressions that are none of them; all but the truth as scanned."""
 
     source: str
     target: str
     pair: Pair
     shapes: Examples  # those that move most first
+    true_shapes: FloatArray  # (k, n, 3) mm of the target, without the scanner's noise
     names: tuple[str, ...]  # of the shapes
     span: FloatArray  # (N, n, 3) mm of the source
     tests: tuple[str, ...]
@@ -89,20 +90,20 @@ def cases(study: AlmStudy, dataset: Dataset) -> Iterator[Case]:
         )
     for source, target in chosen_pairs(dataset.identities, study.pairs):
         drawn = draw(source, target, 0, len(dataset.expressions), study.expressions, study.seed)
-        pair = Pair(dataset.faces, dataset.neutral(source), dataset.neutral(target), dataset.regions)
         chosen = np.array(drawn.examples(study.shapes))
-        shown = dataset.frames(source, chosen.tolist())
-        moving = np.argsort(-np.linalg.norm(shown - pair.source_neutral, axis=2).mean(axis=1), kind="stable")
-        known = Examples(dataset.frames(target, chosen[moving].tolist()), shown[moving])
+        motion = dataset.frames(source, chosen.tolist()) - dataset.neutral(source)
+        moving = np.argsort(-np.linalg.norm(motion, axis=2).mean(axis=1), kind="stable")
+        shown, known = dataset.scanned(source, chosen.tolist()), chosen[moving].tolist()
         yield Case(
             source,
             target,
-            pair,
-            known,
-            tuple(dataset.expressions[i] for i in chosen[moving]),
+            dataset.scanned_pair(source, target),
+            Examples(dataset.scanned(target, known), shown[moving]),
+            dataset.frames(target, known),
+            tuple(dataset.expressions[i] for i in known),
             shown,
             tuple(dataset.expressions[i] for i in drawn.test),
-            dataset.frames(source, drawn.test),
+            dataset.scanned(source, drawn.test),
             dataset.frames(target, drawn.test),
         )
 

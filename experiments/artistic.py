@@ -94,11 +94,11 @@ def scene(study: ArtisticStudy, make: MethodMaker, dataset: Dataset) -> Scene:
     """The first identity performs, the second answers."""
     expression = dataset.expressions.index(choose("study.expression", study.expression, dataset.expressions))
     source, target = dataset.identities[:2]
-    pair = Pair(dataset.faces, dataset.neutral(source), dataset.neutral(target), dataset.regions)
+    pair = dataset.scanned_pair(source, target)
     order = draw(source, target, 0, len(dataset.expressions), 0, study.seed).order
     examples = [i for i in order if i != expression][: study.n_examples]
-    known = Examples(dataset.frames(target, examples), dataset.frames(source, examples))
-    frame = dataset.frames(source, [expression])
+    known = Examples(dataset.scanned(target, examples), dataset.scanned(source, examples))
+    frame = dataset.scanned(source, [expression])
     fitted = make().prepare(pair).fit(known, frame)
     patches = contiguous_patches(pair.faces, len(frame[0]), make.settings.get("patch_count", 80))
     return Scene(pair, fitted, patches, frame, fitted(frame))

@@ -29,7 +29,7 @@ from reports.collision_sheet import Case, write_collision_sheet
 from reports.terminal import print_collisions
 from retarget.check import InvalidInput
 from retarget.io.files import write_whole
-from retarget.types import Examples, FloatArray, Pair, Status
+from retarget.types import Examples, FloatArray, Status
 from synth_data.dataset import Dataset
 
 DISTANCES = (0.0, 2.0, 5.0, 10.0, 20.0, 30.0, 50.0, 80.0, 120.0)  # mm from the nearest contact
@@ -111,20 +111,20 @@ def collisions_of(
 ) -> tuple[list[Case], int]:
     """The expressions of a pair that make lips cross, and how many were looked at."""
     drawn = draw(source, target, 0, len(dataset.expressions), study.expressions, study.seed)
-    pair = Pair(dataset.faces, dataset.neutral(source), dataset.neutral(target), dataset.regions)
+    pair = dataset.scanned_pair(source, target)
     examples = list(drawn.examples(study.n_examples))
     if len(examples) < study.n_examples:
         raise InvalidInput(
             f"dataset.expressions: expected at least {study.expressions + study.n_examples} (expressions and examples "
             f"of the study), got {len(dataset.expressions)}."
         )
-    known = Examples(dataset.frames(target, examples), dataset.frames(source, examples))
-    span = dataset.frames(source, examples)
+    span = dataset.scanned(source, examples)
+    known = Examples(dataset.scanned(target, examples), span)
     crossing, resolving = (make(collisions=collisions).prepare(pair).fit(known, span) for collisions in (False, True))
-    depth = LipDepth(pair.target_neutral, pair.faces, pair.regions)
+    depth = LipDepth(dataset.neutral(target), pair.faces, pair.regions)
     cases = []
     for test in drawn.test:
-        frames = dataset.frames(source, [test])
+        frames = dataset.scanned(source, [test])
         before, seconds_before = _timed(crossing, frames)
         depths = depth(before.frames[0])
         if depths.max() > study.depth:

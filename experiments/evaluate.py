@@ -66,7 +66,8 @@ class _Case:
 
     problem: RetargetProblem  # its source examples are still to be filled in
     known: Known
-    source: FloatArray  # (t, n, 3) mm, to be retargeted
+    source: FloatArray  # (t, n, 3) mm, to be retargeted, as scanned
+    performed: FloatArray  # (t, n, 3) mm, the same without the scanner's noise, never shown to a method
     truth: FloatArray  # (t, n, 3) mm, never shown to a method
     expressions: tuple[str, ...]
 
@@ -88,11 +89,12 @@ def evaluate_pair(task: PairTask) -> int:
     first = task.cells[0]
     source = _Performer(task.dataset, first.source)
     target = _Performer(task.dataset, first.target)
-    pair = Pair(task.dataset.faces, source.neutral, target.neutral, task.dataset.regions)
+    pair = Pair(task.dataset.faces, source.scanned_neutral, target.scanned_neutral, task.dataset.regions)
+    clean = replace(pair, source_neutral=source.neutral, target_neutral=target.neutral)
     asked = {cell.correspondence for cell in task.cells}
     found = correspondences(pair, asked, task.study.embedding, task.study.rigging)
     for row, cells in _by_row(task.cells):
-        prepared, prepare_seconds, failure = _prepare(row, pair)
+        prepared, prepare_seconds, failure = _prepare(row, pair, clean)
         for cell in cells:
             case = _case(task.study, cell, pair, source, target)
             answer: _Answer | None = None
@@ -111,7 +113,7 @@ def evaluate_pair(task: PairTask) -> int:
                 "fit_seconds": answer and answer.fit_seconds,
                 "seconds_per_expression": answer and answer.seconds_per_expression,
             }
-            _record(task, cell, case, pair, answer, status, reason, timings)
+            _record(task, cell, case, clean, answer, status, reason, timings)
     return len(task.cells)
 
 
@@ -123,26 +125,25 @@ def _by_row(cells: Sequence[Cell]) -> list[tuple[Row, list[Cell]]]:
 
 
 class _Performer:
-    """An identity of the dataset and its performance of all expressions, computed once per pair."""
+    """An identity of the dataset and its performance of all expressions, in truth and as scanned, once per pair."""
 
     def __init__(self, dataset: Dataset, identity: str) -> None:
-        self.neutral = dataset.neutral(identity)
         self.names = dataset.expressions
-        self.performance = dataset.frames(identity, range(len(dataset.expressions)))
-
-    def perform(self, indices: Sequence[int]) -> FloatArray:
-        return self.performance[list(indices)]
+        self.neutral = dataset.neutral(identity)
+        self.performance = dataset.frames(identity, range(len(self.names)))
+        self.scanned_neutral = dataset.scanned_neutral(identity)
+        self.scans = dataset.as_scanned(identity, self.names, self.performance)
 
 
 def _case(study: Study, cell: Cell, pair: Pair, source: _Performer, target: _Performer) -> _Case:
     drawn: Draw = draw(cell.source, cell.target, cell.draw, len(source.names), study.test_expressions, study.seed)
-    examples = drawn.examples(cell.n_examples)
+    examples, test = list(drawn.examples(cell.n_examples)), list(drawn.test)
     five = study.span == "five"
     known = Known(
         names=tuple(source.names[i] for i in examples),
-        source_examples=source.perform(examples),
-        target_examples=target.perform(examples),
-        animation=source.perform(drawn.test) if five else source.performance,
+        source_examples=source.scans[examples],
+        target_examples=target.scans[examples],
+        animation=source.scans[test] if five else source.scans,
         span=f"draw {cell.draw}" if five else "animation",
         method=cell.row.method,
     )
@@ -156,17 +157,18 @@ def _case(study: Study, cell: Cell, pair: Pair, source: _Performer, target: _Per
             regions=pair.regions,
         ),
         known=known,
-        source=source.perform(drawn.test),
-        truth=target.perform(drawn.test),
+        source=source.scans[test],
+        performed=source.performance[test],
+        truth=target.performance[test],
         expressions=tuple(source.names[i] for i in drawn.test),
     )
 
 
-def _prepare(row: Row, pair: Pair) -> tuple[Prepared | PreparedReference | None, float | None, str | None]:
-    """(prepared, seconds, reason of a failure)."""
+def _prepare(row: Row, pair: Pair, clean: Pair) -> tuple[Prepared | PreparedReference | None, float | None, str | None]:
+    """(prepared, seconds, reason of a failure); a reference, which knows the truth, starts from clean neutrals."""
     start = time.perf_counter()
     try:
-        prepared = REFERENCES[row.name](pair) if row.method is None else row.method.prepare(pair)
+        prepared = REFERENCES[row.name](clean) if row.method is None else row.method.prepare(pair)
     except Exception as error:
         return None, None, f"prepare: {type(error).__name__}: {error}"
     return prepared, time.perf_counter() - start, None
@@ -225,7 +227,7 @@ def _record(
     task: PairTask,
     cell: Cell,
     case: _Case,
-    pair: Pair,
+    clean: Pair,
     answer: _Answer | None,
     status: str,
     reason: str | None,
@@ -234,7 +236,7 @@ def _record(
     usable = answer is not None and status in ("ok", "not_converged")
     frames = answer.result.frames if answer is not None and usable else case.truth
     comparison = Comparison(
-        frames, case.truth, case.source, pair.source_neutral, pair.target_neutral, pair.faces, pair.regions
+        frames, case.truth, case.performed, clean.source_neutral, clean.target_neutral, clean.faces, clean.regions
     )
     measurements = [measurement for metric in task.metrics for measurement in metric(comparison)]
     header = {
@@ -254,7 +256,7 @@ def _record(
     }
     folder = task.folder / cell.id
     if cell.keep_frames and answer is not None and usable:
-        _write_frames(folder / FRAMES, case, pair, answer.result)
+        _write_frames(folder / FRAMES, case, clean, answer.result)
     write_record(folder, Record(header, _rows(task, cell, case, measurements, status, not usable)))
 
 
@@ -293,17 +295,17 @@ def _rows(
     return pa.table({name: columns[name] for name in METRIC_COLUMNS})
 
 
-def _write_frames(path: Path, case: _Case, pair: Pair, result: RetargetResult) -> None:
-    """Frames for the report's figures, so that they rebuild without running a method."""
+def _write_frames(path: Path, case: _Case, clean: Pair, result: RetargetResult) -> None:
+    """Frames for the report's figures, so that they rebuild without running a method; the source's are as scanned."""
     arrays: dict[str, Any] = {
-        "faces": pair.faces.astype(np.int32),
-        "source_neutral": pair.source_neutral.astype(np.float32),
-        "target_neutral": pair.target_neutral.astype(np.float32),
+        "faces": clean.faces.astype(np.int32),
+        "source_neutral": case.problem.source_neutral.astype(np.float32),
+        "target_neutral": clean.target_neutral.astype(np.float32),
         "source": case.source.astype(np.float32),
         "truth": case.truth.astype(np.float32),
         "retargeted": result.frames.astype(np.float32),
         "expressions": np.array(case.expressions),
-        "region_head": np.asarray(pair.regions.vertices.get("head", np.arange(len(pair.source_neutral)))),
+        "region_head": np.asarray(clean.regions.vertices.get("head", np.arange(len(clean.source_neutral)))),
     } | {f"part_{name}": part.astype(np.float32) for name, part in result.parts.items()}
 
     def save(temporary: Path) -> None:

@@ -103,7 +103,7 @@ def _facts(settings: EmbeddingSettings | RiggingSettings | None, used: bool) -> 
 
 
 def check_dataset(dataset: Dataset) -> None:
-    """Raises InvalidInput for data that no study can use, naming the identity."""
+    """Raises InvalidInput for data that no study can use, naming the identity; noise is part of it."""
     if len(dataset.identities) < 2:
         raise InvalidInput(
             f"dataset: {len(dataset.identities)} identities, expected at least 2: one performs, the other retargets. "
@@ -115,6 +115,8 @@ def check_dataset(dataset: Dataset) -> None:
     for identity in dataset.identities:
         neutral = check_vertices(f"{identity}, neutral", dataset.neutral(identity), count)
         check_triangle_areas(f"{identity}, neutral", neutral, faces)
+        if dataset.conditions.noise_mm > 0:
+            check_triangle_areas(f"{identity}, scanned neutral", dataset.scanned_neutral(identity), faces)
         check_frames(f"{identity}, expressions", dataset.frames(identity, everything), count)
 
 

@@ -155,15 +155,15 @@ def perform(study: RuntimeStudy, dataset: Dataset) -> Performance:
         )
     order = rng.permutation(len(dataset.expressions))
     examples, passed = order[: study.blendshapes], order[study.blendshapes :][:stops]
-    pair = Pair(dataset.faces, dataset.neutral(source), dataset.neutral(target), dataset.regions)
-    keys = np.concatenate([pair.source_neutral[None], dataset.frames(source, passed.tolist())])
+    pair = dataset.scanned_pair(source, target)
+    keys = np.concatenate([pair.source_neutral[None], dataset.scanned(source, passed.tolist())])
     at = np.arange(1, study.animation_frames + 1) / study.frames_per_expression
     before = np.minimum(at.astype(int), stops - 1)
     share = at - before
     share = (share * share * (3 - 2 * share))[:, None, None]  # eases in and out
     frames = (1 - share) * keys[before] + share * keys[before + 1]
     plbs = make_method("plbs").prepare(pair)
-    shapes = Examples(dataset.frames(target, examples.tolist()), dataset.frames(source, examples.tolist()))
+    shapes = Examples(dataset.scanned(target, examples.tolist()), dataset.scanned(source, examples.tolist()))
     result = plbs.fit(shapes, frames)(frames)
     missing = pair.source_neutral + frames - result.parts["source_reconstruction"]  # eq. (4)
     return Performance(pair, shapes, frames, missing, result.frames)
