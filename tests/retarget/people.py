@@ -14,7 +14,9 @@ SHOWN = 12  # expressions
 
 @lru_cache(maxsize=1)
 def people() -> Dataset:
-    return MakeHuman(identities=2, first_seed=0, subdivisions=0, expressions=SHOWN).load()
+    return MakeHuman(
+        identities=2, first_seed=0, subdivisions=0, expressions=SHOWN, truth="personal_blendshapes", weights="sparse"
+    ).load()
 
 
 def pair(source: str = SOURCE, target: str = TARGET) -> Pair:

@@ -18,7 +18,9 @@ NEAR = 1e-2  # mm: so does one that hardly changes anything, where lips meet and
 @pytest.fixture(scope="module")
 def head() -> tuple[Dataset, Fitted, FloatArray]:
     """A pair of MakeHuman's people at the base resolution, and one expression of the source."""
-    data = MakeHuman(identities=2, expressions=12, subdivisions=0).load()
+    data = MakeHuman(
+        identities=2, expressions=12, subdivisions=0, truth="personal_blendshapes", weights="sparse"
+    ).load()
     source, target = data.identities
     pair = Pair(data.faces, data.neutral(source), data.neutral(target), data.regions)
     examples = Examples(data.frames(target, range(5)), data.frames(source, range(5)))

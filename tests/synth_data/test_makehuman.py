@@ -18,7 +18,7 @@ from synth_data.recording import ROTATIONS
 
 @pytest.fixture(scope="module")
 def data() -> MakeHumanDataset:
-    return MakeHuman(identities=2, expressions=12).load()
+    return MakeHuman(identities=2, expressions=12, truth="personal_blendshapes", weights="sparse").load()
 
 
 def test_what_a_study_reads(data: MakeHumanDataset) -> None:
@@ -57,7 +57,7 @@ def test_cranium_is_stable(data: MakeHumanDataset) -> None:
 
 
 def test_identities_and_frames_do_not_depend_on_how_many_are_asked_for(data: MakeHumanDataset) -> None:
-    alone = MakeHuman(identities=1, first_seed=1, expressions=5).load()
+    alone = MakeHuman(identities=1, first_seed=1, expressions=5, truth="personal_blendshapes", weights="sparse").load()
     np.testing.assert_array_equal(alone.neutral("person-001"), data.neutral("person-001"))
     np.testing.assert_allclose(
         alone.frames("person-001", [3, 1]), data.frames("person-001", [3, 1]), rtol=0, atol=1e-10
@@ -86,7 +86,9 @@ def test_weights_of_a_recording_name_it_and_follow_what_is_in_it(tmp_path: Path)
         return path
 
     path, same, other = write("a", 0, 0.5, 1, 0.25), write("b", 0, 0.5, 1, 0.25), write("c", 0, 0.5, 0.75, 0.25)
-    settings = MakeHuman(identities=1, expressions=3, weights="recorded", recording=str(path))
+    settings = MakeHuman(
+        identities=1, expressions=3, truth="personal_blendshapes", weights="recorded", recording=str(path)
+    )
     data = settings.load()
     assert sorted(data.weights[:, SKIN_NAMES.index("mouthSmileLeft")]) == [0.25, 0.5, 1.0]
     assert (data.conditions.weights, data.expressions[0]) == ("recorded:take_7", "recorded-000")
@@ -97,7 +99,7 @@ def test_weights_of_a_recording_name_it_and_follow_what_is_in_it(tmp_path: Path)
 
 
 def test_subdivision_refines_faces_regions_and_frames_alike(data: MakeHumanDataset) -> None:
-    fine = MakeHuman(identities=1, expressions=2, subdivisions=1).load()
+    fine = MakeHuman(identities=1, expressions=2, subdivisions=1, truth="personal_blendshapes", weights="sparse").load()
     n = len(fine.neutral("person-000"))
     assert n == 17263
     assert len(fine.faces) == 4 * len(data.faces)

@@ -152,7 +152,9 @@ def test_the_mouths_height_is_that_of_the_upper_lip_and_its_depth_follows_the_he
 
 def test_lids_close_better_than_by_deformation_transfer():
     """On average over 6 pairs: what stays open of the eyes."""
-    data = MakeHuman(identities=3, first_seed=0, subdivisions=0, expressions=1).load()
+    data = MakeHuman(
+        identities=3, first_seed=0, subdivisions=0, expressions=1, truth="personal_blendshapes", weights="sparse"
+    ).load()
     blink = np.zeros((1, len(SKIN_NAMES)))
     blink[0, [SKIN_NAMES.index("eyeBlinkLeft"), SKIN_NAMES.index("eyeBlinkRight")]] = 1
     blinking = {name: data.performers[name](blink) for name in data.identities}
