@@ -26,6 +26,7 @@ Offline facial retargeting: an honest comparison of methods.
 
   python -m experiments run      run a study, write its tables and its report PDF
   python -m experiments report   build the report again, or one report of several results folders
+  python -m experiments export   faces that perform as glTF, OBJ sequence or NPZ: truth, rigs, retargeted animation
   python -m experiments gate     compare a finished study with the accuracy gates under version control
   python -m experiments survey   make a ranking questionnaire of a finished study, or analyse what raters returned
   python -m experiments list     methods, datasets, studies, metrics: a sentence each
@@ -110,6 +111,14 @@ def report(config: DictConfig) -> None:
     print_path(build_report(inputs, output, console.print), console)
 
 
+@hydra.main(config_name="export", **HYDRA_MAIN)
+@with_readable_errors
+def export(config: DictConfig) -> None:
+    from experiments.export.command import export as write
+
+    write(config, Console())
+
+
 @hydra.main(config_name="gate", **HYDRA_MAIN)
 @with_readable_errors
 def gate(config: DictConfig) -> None:
@@ -139,6 +148,7 @@ def list_options(config: DictConfig) -> None:
 COMMANDS: dict[str, Callable[[], None]] = {
     "run": run,
     "report": report,
+    "export": export,
     "gate": gate,
     "survey": survey,
     "list": list_options,

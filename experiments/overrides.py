@@ -19,6 +19,7 @@ from retarget.suggest import choose, nearest
 CHOICES = {
     "run": GROUPS,
     "report": ("study", "scale"),
+    "export": ("method", "dataset", "scale"),
     "gate": ("study", "scale"),
     "survey": ("study", "scale", "questionnaire"),
     "list": (),

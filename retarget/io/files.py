@@ -43,14 +43,16 @@ def write_whole_folder(folder: Path, write: Callable[[Path], object]) -> None:
         if folder.exists():
             folder.replace(old)
         temporary.replace(folder)
+        shutil.rmtree(old, ignore_errors=True)
     except OSError as error:
+        if old.exists() and not folder.exists():
+            old.replace(folder)
         raise InvalidInput(
-            f"{folder}: it cannot be written ({error.strerror or error}). Nothing there was changed. Free some space or "
-            "choose another folder."
+            f"{folder}: it cannot be written ({error.strerror or error}). Nothing there was changed. Free some space "
+            "or choose another folder."
         ) from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
-        shutil.rmtree(old, ignore_errors=True)
 
 
 def check_folder(folder: Path, setting: str = "paths.results=FOLDER") -> None:

@@ -1,0 +1,1 @@
+"""`python -m experiments export`: faces that perform, as files which other tools open."""
