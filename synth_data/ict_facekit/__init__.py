@@ -1,0 +1,1 @@
+"""ICT-FaceKit (MIT): people sampled from its identity modes, on the user's own clone."""
