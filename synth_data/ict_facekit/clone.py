@@ -78,7 +78,7 @@ def find_clone(root: str | Path | None) -> Clone:
     if missing:
         raise InvalidInput(
             f"{folder}: expected {NEUTRAL}.obj and the {len(EXPRESSIONS)} expressions, {len(missing)} of these files "
-            f"are missing: {', '.join(f'{name}.obj' for name in missing)}. Restore them with `git checkout -- {FOLDER}`."
+            f"are missing: {', '.join(f'{name}.obj' for name in missing)}. Restore them: `git checkout -- {FOLDER}`."
         )
     modes = {int(found[1]): path for name, path in meshes.items() if (found := _MODE.fullmatch(name))}
     if not modes:

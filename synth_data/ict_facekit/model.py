@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from retarget.types import FloatArray, IntArray, Regions
+from retarget.types import FloatArray, IntArray
 from synth_data.arkit import SKIN_NAMES
 from synth_data.cache import ArrayCache, fingerprint
 from synth_data.dataset import Progress
