@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -97,7 +98,8 @@ def _read(path: Path) -> FloatArray | None:
     """The array, or None where there is none or it is damaged."""
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
-        path.touch()
     except (OSError, ValueError, EOFError):
         return None
+    with contextlib.suppress(OSError):  # a folder that is only read keeps no record of what was used last
+        path.touch()
     return np.asarray(array) if array.dtype == np.float64 else None

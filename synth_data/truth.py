@@ -7,6 +7,7 @@ docs/truths.md compares them.
 
 from __future__ import annotations
 
+import functools
 import pkgutil
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -160,6 +161,7 @@ PACKAGES = ("synth_data", "synth_data.personal", "synth_data.truths", "retarget.
 MODULES = ("retarget.types", "retarget.check")
 
 
+@functools.cache
 def truth_code(*packages: str) -> str:
     """SHA-256 over the code that makes frames: of every kind of truth, and of packages of a dataset's own."""
     found: list[str | bytes] = []
