@@ -14,8 +14,7 @@ import pyarrow as pa
 
 from experiments.correspondence import Correspondence, Found, Known, correspondences
 from experiments.memory import peak_memory_mb
-from experiments.metrics.metric import Comparison, Measurement, Metric
-from experiments.protocol import Draw, draw
+from experiments.metrics.metric import Comparison, Disturbed, Measurement, Metric
 from experiments.record import FRAMES, SCHEMA, Record, write_record
 from experiments.references import REFERENCES, PreparedReference
 from experiments.study import Row, Study
@@ -70,11 +69,13 @@ class _Case:
     performed: FloatArray  # (t, n, 3) mm, the same without the scanner's noise, never shown to a method
     truth: FloatArray  # (t, n, 3) mm, never shown to a method
     expressions: tuple[str, ...]
+    noise: FloatArray | None  # (k, n, 3) mm, see `Study.noise`
 
 
 @dataclass(frozen=True)
 class _Answer:
     result: RetargetResult
+    disturbed: FloatArray | None  # (k, n, 3) mm, the answer to the source with the noise of the case
     found: Found
     fit_seconds: float
     seconds_per_expression: float
@@ -91,12 +92,13 @@ def evaluate_pair(task: PairTask) -> int:
     target = _Performer(task.dataset, first.target)
     pair = Pair(task.dataset.faces, source.scanned_neutral, target.scanned_neutral, task.dataset.regions)
     clean = replace(pair, source_neutral=source.neutral, target_neutral=target.neutral)
+    noise = task.study.noise(task.dataset, first.source)
     asked = {cell.correspondence for cell in task.cells}
     found = correspondences(pair, asked, task.study.embedding, task.study.rigging)
     for row, cells in _by_row(task.cells):
         prepared, prepare_seconds, failure = _prepare(row, pair, clean)
         for cell in cells:
-            case = _case(task.study, cell, pair, source, target)
+            case = _case(task.study, cell, pair, source, target, noise)
             answer: _Answer | None = None
             status, reason = "failed", failure
             if failure is None:
@@ -135,8 +137,10 @@ class _Performer:
         self.scans = dataset.as_scanned(identity, self.names, self.performance)
 
 
-def _case(study: Study, cell: Cell, pair: Pair, source: _Performer, target: _Performer) -> _Case:
-    drawn: Draw = draw(cell.source, cell.target, cell.draw, len(source.names), study.test_expressions, study.seed)
+def _case(
+    study: Study, cell: Cell, pair: Pair, source: _Performer, target: _Performer, noise: FloatArray | None
+) -> _Case:
+    drawn = study.draw(cell.source, cell.target, cell.draw, len(source.names))
     examples, test = list(drawn.examples(cell.n_examples)), list(drawn.test)
     five = study.span == "five"
     known = Known(
@@ -161,6 +165,7 @@ def _case(study: Study, cell: Cell, pair: Pair, source: _Performer, target: _Per
         performed=source.performance[test],
         truth=target.performance[test],
         expressions=tuple(source.names[i] for i in drawn.test),
+        noise=noise,
     )
 
 
@@ -182,8 +187,9 @@ def _answer(
         assert prepared is not None  # a failed preparation never comes here
         start = time.perf_counter()
         frames = prepared(case.problem.target_examples, case.truth)
-        found, fitted_at = Found(case.known.source_examples), start
+        found, fitted_at, answered_at = Found(case.known.source_examples), start, time.perf_counter()
         result = RetargetResult(frames, (SolveInfo(),) * len(frames))
+        disturbed = None if case.noise is None else frames[: len(case.noise)]
     else:
         assert isinstance(prepared, Prepared)
         found = _found(correspondence, case.known)
@@ -194,8 +200,10 @@ def _answer(
         fitted = prepared.fit(problem.examples, problem.source_animation)
         fitted_at = time.perf_counter()
         result = fitted(case.source)
-    done = time.perf_counter()
-    return _Answer(_checked(result, case), found, fitted_at - start, (done - fitted_at) / max(len(case.source), 1))
+        answered_at = time.perf_counter()
+        disturbed = None if case.noise is None else fitted(case.source[: len(case.noise)] + case.noise).frames
+    seconds = (answered_at - fitted_at) / max(len(case.source), 1)
+    return _Answer(_checked(result, case), disturbed, found, fitted_at - start, seconds)
 
 
 def _found(correspondence: Correspondence, known: Known) -> Found:
@@ -236,7 +244,15 @@ def _record(
     usable = answer is not None and status in ("ok", "not_converged")
     frames = answer.result.frames if answer is not None and usable else case.truth
     comparison = Comparison(
-        frames, case.truth, case.performed, clean.source_neutral, clean.target_neutral, clean.faces, clean.regions
+        frames,
+        case.truth,
+        case.performed,
+        clean.source_neutral,
+        clean.target_neutral,
+        clean.faces,
+        clean.regions,
+        task.study.ordered,
+        _disturbed(case, answer),
     )
     measurements = [measurement for metric in task.metrics for measurement in metric(comparison)]
     header = {
@@ -255,9 +271,18 @@ def _record(
         **{key: value if value is None or np.isfinite(value) else None for key, value in timings.items()},
     }
     folder = task.folder / cell.id
-    if cell.keep_frames and answer is not None and usable:
-        _write_frames(folder / FRAMES, case, clean, answer.result)
+    if answer is not None and usable:
+        task.study.keep(folder, cell.keep_frames, answer.result.frames)
+        if cell.keep_frames:
+            shown = list(task.study.figure_frames(len(case.truth)))
+            _write_frames(folder / FRAMES, case, clean, answer.result, shown)
     write_record(folder, Record(header, _rows(task, cell, case, measurements, status, not usable)))
+
+
+def _disturbed(case: _Case, answer: _Answer | None) -> Disturbed | None:
+    if case.noise is None or answer is None or answer.disturbed is None:
+        return None
+    return Disturbed(case.noise, answer.disturbed)
 
 
 def _solve(info: SolveInfo) -> dict[str, Any]:
@@ -295,18 +320,18 @@ def _rows(
     return pa.table({name: columns[name] for name in METRIC_COLUMNS})
 
 
-def _write_frames(path: Path, case: _Case, clean: Pair, result: RetargetResult) -> None:
+def _write_frames(path: Path, case: _Case, clean: Pair, result: RetargetResult, shown: list[int]) -> None:
     """Frames for the report's figures, so that they rebuild without running a method; the source's are as scanned."""
     arrays: dict[str, Any] = {
         "faces": clean.faces.astype(np.int32),
         "source_neutral": case.problem.source_neutral.astype(np.float32),
         "target_neutral": clean.target_neutral.astype(np.float32),
-        "source": case.source.astype(np.float32),
-        "truth": case.truth.astype(np.float32),
-        "retargeted": result.frames.astype(np.float32),
-        "expressions": np.array(case.expressions),
+        "source": case.source[shown].astype(np.float32),
+        "truth": case.truth[shown].astype(np.float32),
+        "retargeted": result.frames[shown].astype(np.float32),
+        "expressions": np.array(case.expressions)[shown],
         "region_head": np.asarray(clean.regions.vertices.get("head", np.arange(len(clean.source_neutral)))),
-    } | {f"part_{name}": part.astype(np.float32) for name, part in result.parts.items()}
+    } | {f"part_{name}": part[shown].astype(np.float32) for name, part in result.parts.items()}
 
     def save(temporary: Path) -> None:
         with temporary.open("wb") as file:

@@ -127,7 +127,9 @@ def check_metrics(study: Study, dataset: Dataset, metrics: Mapping[str, Metric])
     """
     neutral = dataset.neutral(dataset.identities[0])
     still = neutral[None]
-    comparison = Comparison(still, still, still, neutral, neutral, dataset.faces, dataset.regions)
+    comparison = Comparison(
+        still, still, still, neutral, neutral, dataset.faces, dataset.regions, ordered=study.ordered
+    )
     measured: dict[str, list[str]] = {}
     for name, metric in metrics.items():
         try:

@@ -28,4 +28,9 @@ def projection_bound(pair: Pair) -> PreparedReference:
     return lambda examples, truth: projection(pair.target_neutral, examples, truth, patches, NEARLY_NO_RIDGE)
 
 
-REFERENCES: dict[str, Reference] = {"neutral": neutral, "projection_bound": projection_bound}
+def truth(pair: Pair) -> PreparedReference:
+    """The truth itself: what it scores in measures that do not compare with it, such as crossings."""
+    return lambda examples, truth: truth.copy()
+
+
+REFERENCES: dict[str, Reference] = {"neutral": neutral, "projection_bound": projection_bound, "truth": truth}

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any
+from pathlib import Path
+from typing import Any, ClassVar
 
 from hydra.utils import instantiate
 
 from experiments.catalogue import method_settings, options, sentence
 from experiments.correspondence import CORRESPONDENCES, EmbeddingSettings, RiggingSettings
+from experiments.protocol import Draw, draw
 from experiments.references import REFERENCES
 from retarget.check import InvalidInput
 from retarget.suggest import choose
-from retarget.types import Retargeter
+from retarget.types import FloatArray, Retargeter
+from synth_data.dataset import Dataset
 
 SPANS = ("animation", "five")
 
@@ -100,6 +103,23 @@ class Study:
         if not study.n_examples or len(set(study.n_examples)) < len(study.n_examples):
             raise InvalidInput(f"study.n_examples: expected different counts, got {list(study.n_examples)}.")
         return study
+
+    ordered: ClassVar[bool] = False  # the test expressions are an animation, one after the other
+
+    def draw(self, source: str, target: str, number: int, expressions: int) -> Draw:
+        """Which of so many expressions are tested on a pair, and which serve as examples."""
+        return draw(source, target, number, expressions, self.test_expressions, self.seed)
+
+    def noise(self, dataset: Dataset, source: str) -> FloatArray | None:
+        """(k, n, 3) mm added to the first k test frames of a source to see how methods respond; None: it is not."""
+        return None
+
+    def figure_frames(self, count: int) -> range:
+        """Those of so many test frames that are kept for figures."""
+        return range(count)
+
+    def keep(self, folder: Path, kept: bool, frames: FloatArray) -> None:
+        """Store more of a cell's answer (t, n, 3) mm in its folder; kept: its frames are, for figures."""
 
     def check_rows(self, methods: Sequence[str]) -> None:
         """Raises InvalidInput unless the method that all rows are compared with is among them."""

@@ -11,6 +11,14 @@ from retarget.types import FloatArray, IntArray, Regions
 
 
 @dataclass(frozen=True)
+class Disturbed:
+    """The first k frames once more, from a source with noise."""
+
+    noise: FloatArray  # (k, n, 3) mm, added to the source's frames
+    retargeted: FloatArray  # (k, n, 3) mm
+
+
+@dataclass(frozen=True)
 class Comparison:
     """One cell's answer beside the truth. No prediction is aligned before a metric."""
 
@@ -21,6 +29,8 @@ class Comparison:
     target_neutral: FloatArray  # (n, 3) mm
     faces: IntArray  # (f, 3)
     regions: Regions
+    ordered: bool = False  # the frames are an animation, one after the other
+    disturbed: Disturbed | None = None  # where a study asks for it
 
 
 @dataclass(frozen=True)
