@@ -3,7 +3,7 @@
 The macro targets (gender, age, muscle, weight, ancestry) give a base; the local targets (nose, chin, ...) add a
 Gaussian whose scale per target is set in mm of peak displacement. Unconditioned, these heads are off by several
 millimetres (the mouth by 8), so the local coefficients are conditioned on face widths drawn from the published
-distribution of the identity's gender, and every head keeps its true size.
+distribution of the identity's gender, and every head keeps its true size. Lips that pass each other are parted last.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from retarget.check import InvalidInput
 from retarget.geometry.procrustes import rigid_align
 from retarget.types import FloatArray, IntArray, Regions
 from synth_data.makehuman.head import BaseHead
+from synth_data.makehuman.lips import RestingLips
 from synth_data.makehuman.targets import LOCAL, Targets
 
 ANCESTRIES = ("african", "asian", "caucasian")
@@ -95,6 +96,7 @@ class IdentitySampler:
         self._ends = _ends(regions.landmarks)
         self._positive, self._negative, self._covariance = _local_targets(head, targets)
         self._precision = np.linalg.inv(self._covariance)
+        self._lips = RestingLips(head, regions)
         self._cholesky = np.linalg.cholesky(self._covariance)
 
     def __call__(self, seed: int) -> Identity:
@@ -117,7 +119,7 @@ class IdentitySampler:
                 "standard deviations, expected one; choose another dataset.first_seed."
             )
         rotation, translation = rigid_align(vertices[self._cranium], self._head.vertices[self._cranium])
-        return Identity(seed, gender, 25 + 65 * oldness, vertices @ rotation.T + translation)
+        return Identity(seed, gender, 25 + 65 * oldness, self._lips(vertices @ rotation.T + translation))
 
     def _macro(self, rng: np.random.Generator, gender: str, oldness: float) -> FloatArray:
         """(n, 3) mm: MakeHuman's macro targets, weighted by the products of their factors' shares."""

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
+from retarget.anatomy.crossings import self_intersections
 from retarget.check import InvalidInput, check_triangle_areas
 from retarget.geometry.procrustes import rigid_align
 from retarget.types import Regions
@@ -12,6 +14,8 @@ from synth_data.makehuman import identities
 from synth_data.makehuman.anthropometry import Comparison, compare_widths
 from synth_data.makehuman.head import BaseHead
 from synth_data.makehuman.identities import Identity, IdentitySampler, measure
+from synth_data.makehuman.lips import REACH, RestingLips
+from synth_data.makehuman.subdivide import subdivide
 from synth_data.makehuman.targets import Targets
 
 Base = tuple[BaseHead, Targets, Regions]
@@ -74,3 +78,48 @@ def test_measure_by_hand() -> None:
     vertices = np.zeros((8, 3))
     vertices[[0, 2, 4, 6]] = [[130, 0, 0], [60, 80, 0], [0, 0, 50], [0, 48, 14]]
     np.testing.assert_allclose(measure(vertices, landmarks), [130, 100, 50, 50])
+
+
+CROSSED = {2: 1.0, 12: 0.3, 26: 1.0}  # seeds whose drawn lips pass each other, and mm within which visible skin moves
+"""Seed 26 is a lower lip that folds over its own lining."""
+
+
+@pytest.fixture(scope="module")
+def drawn(base: Base) -> dict[int, np.ndarray]:
+    """Heads (n, 3) as they are drawn, lips untouched."""
+    plain = IdentitySampler(*base)
+    plain._lips = lambda vertices: vertices  # type: ignore[assignment]
+    return {seed: plain(seed).vertices for seed in (0, *CROSSED)}
+
+
+def test_lips_touch_without_crossing_on_the_base_mesh_and_refined(
+    base: Base, sampler: IdentitySampler, drawn: dict[int, np.ndarray]
+) -> None:
+    head, _, regions = base
+    fine = subdivide(head.faces, len(head.vertices), 1)
+    away = cKDTree(head.vertices[regions.vertices["lips"]]).query(head.vertices)[0]
+    for seed, most in CROSSED.items():
+        before, after = drawn[seed], sampler(seed).vertices
+        assert len(self_intersections(before, head.faces)) > 10
+        assert len(self_intersections(after, head.faces)) == 0
+        assert len(self_intersections(fine(after), fine.faces)) == 0
+        moved = np.linalg.norm(after - before, axis=1)
+        assert moved[away >= REACH].max() == 0
+        assert moved[regions.vertices["head"]].max() < most
+        check_triangle_areas(str(seed), after, head.faces)
+
+
+def test_lips_that_do_not_cross_keep_their_bits(sampler: IdentitySampler, drawn: dict[int, np.ndarray]) -> None:
+    np.testing.assert_array_equal(sampler(0).vertices, drawn[0])
+
+
+def test_parted_lips_stay_mirror_symmetric_and_need_no_second_parting(base: Base) -> None:
+    head, _, regions = base
+    rest = RestingLips(head, regions)
+    shut = head.vertices.copy()
+    shut[regions.vertices["upper_lip"], 1] -= 1.0  # mm
+    shut = 0.5 * (shut + (shut * (-1, 1, 1))[head.mirror])
+    parted = rest(shut)
+    assert np.abs(parted - shut).max() > 0.3
+    np.testing.assert_allclose((parted * (-1, 1, 1))[head.mirror], parted, atol=0.01)
+    np.testing.assert_array_equal(rest(parted), parted)
