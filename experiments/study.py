@@ -106,6 +106,10 @@ class Study:
 
     ordered: ClassVar[bool] = False  # the test expressions are an animation, one after the other
 
+    def data(self, dataset: Dataset) -> Dataset:
+        """What is studied, made of the chosen dataset. Raises InvalidInput for one that the study cannot use."""
+        return dataset
+
     def draw(self, source: str, target: str, number: int, expressions: int) -> Draw:
         """Which of so many expressions are tested on a pair, and which serve as examples."""
         return draw(source, target, number, expressions, self.test_expressions, self.seed)
