@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,13 +54,13 @@ class Traits:
 
     def gain(self, name: str) -> tuple[float, float]:
         """Factors about 1 on a muscle's strength, (left, right)."""
-        both, sides = self._rng("gain", name).standard_normal(2)
+        both, sides = _normals(self.seed, ("gain", name), (2,))
         level, half = np.exp(GAIN_DEVIATION * both), np.exp(0.5 * ASYMMETRY * sides)
         return self._sided(float(level * half), float(level / half))
 
     def offsets(self, name: str, deviation: float) -> tuple[FloatArray, FloatArray]:
         """Offsets (3,) mm of one end of a muscle, (left, right), mirror images up to `LOPSIDED`."""
-        shared, left, right = deviation * self._rng("offset", name).standard_normal((3, 3))
+        shared, left, right = deviation * _normals(self.seed, ("offset", name), (3, 3))
         even, odd = np.sqrt(1 - LOPSIDED), np.sqrt(LOPSIDED)
         drawn = even * shared + odd * left, _FLIP * (even * shared + odd * right)
         return (_FLIP * drawn[1], _FLIP * drawn[0]) if self.flipped else drawn
@@ -79,9 +80,14 @@ class Traits:
     def _sided(self, left: float, right: float) -> tuple[float, float]:
         return (right, left) if self.flipped else (left, right)
 
-    def _rng(self, *stream: str) -> np.random.Generator:
-        words = (byte for word in stream for byte in [*word.encode(), 0])
-        return np.random.default_rng(np.random.SeedSequence([self.seed, _STREAM, *words]))
+
+@functools.lru_cache(maxsize=4096)  # a face asks for its gains in every frame
+def _normals(seed: int, stream: tuple[str, ...], shape: tuple[int, ...]) -> FloatArray:
+    """Standard normal numbers of a seed's stream."""
+    words = (byte for word in stream for byte in [*word.encode(), 0])
+    drawn = np.random.default_rng(np.random.SeedSequence([seed, _STREAM, *words])).standard_normal(shape)
+    drawn.flags.writeable = False
+    return drawn
 
 
 class _Average(Traits):
