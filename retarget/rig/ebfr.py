@@ -29,6 +29,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit, prange
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import lsq_linear
@@ -295,13 +296,12 @@ class ExampleBasedRigging:
         missing = self._own(moved, fourth)  # R = Y - alpha X*, (r, f, 3, 3)
         missing -= self._generic(_blend(rows, generic.moved), _blend(rows, generic.fourth))
         missing = missing.reshape(count, triangles, 9)
-        pairs = (rows[:, None] * rows[None]).reshape(count * count, -1).T  # (s, r r)
-        duals = np.empty_like(missing)
+        first, second = np.tril_indices(count)
+        pairs = rows[first] * rows[second]  # (r (r + 1) / 2, s): the lower triangle of each alpha W^-1 alpha^T
         for start in range(0, triangles, TRIANGLES):
             part = slice(start, start + TRIANGLES)
-            system = (generic.yielding[:, part].T @ pairs).reshape(-1, count, count) + beta * np.eye(count)
-            duals[:, part] = np.linalg.solve(system, missing[:, part].transpose(1, 0, 2)).transpose(1, 0, 2)
-        return Correction(duals.reshape(count, -1), rotation)
+            _solve_each(pairs @ generic.yielding[:, part], beta, missing[:, part])
+        return Correction(missing.reshape(count, -1), rotation)
 
 
 class _Gradients:
@@ -325,6 +325,36 @@ class _Gradients:
         for i in range(len(moved)):
             gradients[i] = (self._gradient @ moved[i] + self._normal @ fourth[i]).reshape(-1, 3, 3)
         return gradients
+
+
+@njit(cache=True, parallel=True)
+def _solve_each(lower, beta, rhs):  # type: ignore[no-untyped-def]
+    """Solve (beta 1 + S_t) c = rhs[:, t] for each triangle t in place; lower[:, t] is S_t."""
+    count, _, columns = rhs.shape
+    for t in prange(rhs.shape[1]):
+        factor = np.empty((count, count))
+        k = 0
+        for i in range(count):  # Cholesky, row by row
+            for j in range(i + 1):
+                value = lower[k, t]
+                k += 1
+                for m in range(j):
+                    value -= factor[i, m] * factor[j, m]
+                factor[i, j] = np.sqrt(value + beta) if i == j else value / factor[j, j]
+        solution = np.empty((count, columns))
+        for i in range(count):
+            for c in range(columns):
+                value = rhs[i, t, c]
+                for m in range(i):
+                    value -= factor[i, m] * solution[m, c]
+                solution[i, c] = value / factor[i, i]
+        for i in range(count - 1, -1, -1):
+            for c in range(columns):
+                value = solution[i, c]
+                for m in range(i + 1, count):
+                    value -= factor[m, i] * solution[m, c]
+                solution[i, c] = value / factor[i, i]
+                rhs[i, t, c] = solution[i, c]
 
 
 def _blend(weights: FloatArray, arrays: FloatArray) -> FloatArray:

@@ -118,7 +118,7 @@ def _patch(
 ) -> tuple[Patch, FloatArray]:
     """A patch of members (n_p, 3), (k, n_p, 3) mm; those `over` bone are at place (n_p,) of known (K, 7, a)."""
     rest = neutral - neutral.mean(axis=0)
-    change = np.array([_without_motion(shape, rest) - rest for shape in shapes]).reshape(len(shapes), *rest.shape)
+    change = _without_motion(shapes, rest) - rest
     lying = known[:, :, place[over]].transpose(0, 2, 1)  # (K, a_p, 7)
     slopes = lying[1:] - lying[0]
     scaled = slopes * np.r_[np.ones(3), np.full(3, lying[0, :, 6].max(initial=0.0)), 1.0]  # all in mm
@@ -129,10 +129,10 @@ def _patch(
     return Patch(rest, directions, over, lying[0], leaning), mixing
 
 
-def _without_motion(shape: FloatArray, rest: FloatArray) -> FloatArray:
-    """(n_p, 3) mm: a shape of a patch, moved rigidly to the patch at rest about its middle."""
-    centred = shape - shape.mean(axis=0)
-    moved: FloatArray = centred @ _turns((rest.T @ centred)[None])[0].T
+def _without_motion(shapes: FloatArray, rest: FloatArray) -> FloatArray:
+    """(k, n_p, 3) mm: shapes of a patch, moved rigidly to the patch at rest about its middle."""
+    centred = shapes - shapes.mean(axis=1, keepdims=True)
+    moved: FloatArray = centred @ _turns(rest.T @ centred).transpose(0, 2, 1)
     return moved
 
 
