@@ -33,7 +33,7 @@ def write_npz(path: Path | str, faces: IntArray, mesh: MorphMesh) -> None:
 
     def save(temporary: Path) -> None:
         with temporary.open("wb") as file:
-            np.savez(file, allow_pickle=False, **arrays)
+            np.savez(file, **arrays)
 
     write_whole(Path(path), save)
 
