@@ -12,16 +12,17 @@ import pytest
 from retarget.check import InvalidInput, check_frames, check_triangle_areas
 from synth_data.arkit import NAMES, SKIN_NAMES
 from synth_data.live_link import read_live_link
-from synth_data.makehuman.dataset import MakeHuman, MakeHumanDataset
+from synth_data.makehuman.dataset import MakeHuman
+from synth_data.performed import PerformedDataset
 from synth_data.recording import ROTATIONS
 
 
 @pytest.fixture(scope="module")
-def data() -> MakeHumanDataset:
+def data() -> PerformedDataset:
     return MakeHuman(identities=2, expressions=12, truth="personal_blendshapes", weights="sparse").load()
 
 
-def test_what_a_study_reads(data: MakeHumanDataset) -> None:
+def test_what_a_study_reads(data: PerformedDataset) -> None:
     assert data.identities == ("person-000", "person-001")
     assert len(data.expressions) == 12
     assert (data.conditions.dataset, data.conditions.truth, data.conditions.weights) == (
@@ -33,7 +34,7 @@ def test_what_a_study_reads(data: MakeHumanDataset) -> None:
     assert data.frames("person-001", []).shape == (0, 4328, 3)
 
 
-def test_all_frames_pass_the_checks_of_the_library(data: MakeHumanDataset) -> None:
+def test_all_frames_pass_the_checks_of_the_library(data: PerformedDataset) -> None:
     for identity in data.identities:
         frames = check_frames(identity, data.frames(identity, range(12)), len(data.neutral(identity)))
         for index, frame in enumerate(frames):
@@ -41,7 +42,7 @@ def test_all_frames_pass_the_checks_of_the_library(data: MakeHumanDataset) -> No
         assert np.linalg.norm(frames - data.neutral(identity), axis=-1).max(axis=1).min() > 1  # mm: each one moves
 
 
-def test_truth_is_linear_in_the_weights(data: MakeHumanDataset) -> None:
+def test_truth_is_linear_in_the_weights(data: PerformedDataset) -> None:
     perform = data.performers["person-000"]
     rest = perform(np.zeros((1, 51)))[0]
     a, b = data.weights[:2] / 2
@@ -50,13 +51,13 @@ def test_truth_is_linear_in_the_weights(data: MakeHumanDataset) -> None:
     np.testing.assert_allclose(both[2] - rest, (both[0] - rest) + (both[1] - rest), atol=1e-9)
 
 
-def test_cranium_is_stable(data: MakeHumanDataset) -> None:
+def test_cranium_is_stable(data: PerformedDataset) -> None:
     cranium = data.regions.vertices["cranium"]
     motion = data.frames("person-000", range(12))[:, cranium] - data.neutral("person-000")[cranium]
     assert np.linalg.norm(motion, axis=-1).mean() < 0.1
 
 
-def test_identities_and_frames_do_not_depend_on_how_many_are_asked_for(data: MakeHumanDataset) -> None:
+def test_identities_and_frames_do_not_depend_on_how_many_are_asked_for(data: PerformedDataset) -> None:
     alone = MakeHuman(identities=1, first_seed=1, expressions=5, truth="personal_blendshapes", weights="sparse").load()
     np.testing.assert_array_equal(alone.neutral("person-001"), data.neutral("person-001"))
     np.testing.assert_allclose(
@@ -98,7 +99,7 @@ def test_weights_of_a_recording_name_it_and_follow_what_is_in_it(tmp_path: Path)
         dataclasses.replace(settings, weights="sparse").load()
 
 
-def test_subdivision_refines_faces_regions_and_frames_alike(data: MakeHumanDataset) -> None:
+def test_subdivision_refines_faces_regions_and_frames_alike(data: PerformedDataset) -> None:
     fine = MakeHuman(identities=1, expressions=2, subdivisions=1, truth="personal_blendshapes", weights="sparse").load()
     n = len(fine.neutral("person-000"))
     assert n == 17263
@@ -129,7 +130,7 @@ def test_settings_out_of_range_are_refused(settings: dict[str, Any], message: st
         MakeHuman(**settings).load()
 
 
-def test_unknown_identities_and_expressions_are_refused(data: MakeHumanDataset) -> None:
+def test_unknown_identities_and_expressions_are_refused(data: PerformedDataset) -> None:
     with pytest.raises(InvalidInput, match="expected one of person-000, person-001, got 'nobody'"):
         data.neutral("nobody")
     with pytest.raises(InvalidInput, match="expected indices from 0 to 11, got 3 to 12"):
