@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Sequence
 
 from rich.console import Console
 
@@ -15,8 +14,7 @@ from experiments.progress import duration, progress
 
 def compute(planned: Plan, backend: Backend, console: Console) -> None:
     """Compute the cells that have no current record."""
-    headers = {cell.id: planned.finished(cell) for cell in planned.cells}
-    missing = [cell for cell in planned.cells if headers[cell.id] is None]
+    missing = [cell for cell in planned.cells if planned.finished(cell) is None]
     pairs = len({(cell.source, cell.target) for cell in planned.cells})
     reused = len(planned.cells) - len(missing)
     console.print(
@@ -26,24 +24,27 @@ def compute(planned: Plan, backend: Backend, console: Console) -> None:
     )
     for name, reason in planned.left_out.items():
         console.print(f"metric {name} is left out: {reason}")
-    console.print(f"estimated time: {_estimate(planned, missing, headers)}")
+    console.print(estimate([planned]))
     with progress(console, "cells", len(missing)) as advance:
         for done in backend.run(evaluate_pair, planned.tasks(missing)):
             advance(done)
 
 
-def _estimate(planned: Plan, missing: list[Cell], headers: Mapping[str, Mapping[str, Any] | None]) -> str:
-    """From the cells of this study that have been computed on this machine before."""
+def estimate(plans: Sequence[Plan]) -> str:
+    """In words, the time that is left, from the cells of these plans that this machine has computed before."""
     seconds: dict[str, list[float]] = {}
-    for cell in planned.cells:
-        header = headers[cell.id]
-        if header is not None and header["fit_seconds"] is not None:
+    missing: list[Cell] = []
+    for planned, cell in [(each, cell) for each in plans for cell in each.cells]:
+        header = planned.finished(cell)
+        if header is None:
+            missing.append(cell)
+        elif header["fit_seconds"] is not None:
             per_frame = header["seconds_per_expression"] * planned.study.test_expressions
             seconds.setdefault(cell.row.name, []).append(header["fit_seconds"] + per_frame)
     if not missing:
-        return "nothing left to compute"
+        return "estimated time: nothing left to compute"
     if not seconds:
-        return "no earlier cells to judge by; the remaining time is shown as soon as the first pair is done"
+        return "estimated time: no earlier cells to judge by; the first pair will show what remains"
     typical = {name: sum(values) / len(values) for name, values in seconds.items()}
     total = sum(typical.get(cell.row.name, 0.0) for cell in missing)
-    return f"about {duration(total)} of computing for the {len(missing)} cells left"
+    return f"estimated time: about {duration(total)} of computing for the {len(missing)} cells left"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, cast
@@ -18,13 +19,15 @@ from experiments.alm_shapes import ShapesStudy, grow
 from experiments.artistic import ArtisticStudy, intervene
 from experiments.catalogue import MethodMaker
 from experiments.collision import CollisionStudy, collide
-from experiments.compute import compute
+from experiments.compute import compute, estimate
+from experiments.conditions import by_condition, said
 from experiments.metrics.metric import Metric
-from experiments.plan import plan
+from experiments.plan import Plan, plan
 from experiments.progress import print_path
 from experiments.runtime import RuntimeStudy, measure
 from experiments.study import Study
 from experiments.tables import collect, write_tables
+from experiments.temporal import TemporalStudy, write_animation
 from experiments.tuning import Tuning, check_identities, chosen_yaml, trial_table
 from reports.report import build_report
 from reports.terminal import print_solves, print_summary, print_tuning
@@ -42,15 +45,52 @@ def run(config: DictConfig, folder: Path, console: Console) -> None:
 
 
 def _compare(config: DictConfig, folder: Path, console: Console) -> None:
+    _tell(_finished(_planned(_compared(config), config, folder, console), config, console), folder, console)
+    if config.report:
+        _report([folder], None, console)
+
+
+def _compare_conditions(config: DictConfig, folder: Path, console: Console) -> None:
+    """Everything is planned before anything is computed: a condition that cannot be is found at once."""
+    plans = {}
+    for name, condition in by_condition(config).items():
+        console.print(f"condition {name}: {said(config.study.conditions[name])}", markup=False, highlight=False)
+        plans[name] = condition, _planned(_compared(condition), condition, folder / name, console)
+    cells = sum(len(planned.cells) for _, planned in plans.values())
+    console.print(f"{len(plans)} conditions, {cells} cells; {estimate([planned for _, planned in plans.values()])}")
+    for i, (name, (condition, planned)) in enumerate(plans.items()):
+        console.print(f"\ncondition {name} ({i + 1} of {len(plans)})", markup=False, highlight=False)
+        _tell(_finished(planned, condition, console), folder / name, console)
+    if config.report:
+        _report([folder / name for name in plans], folder / "report.pdf", console)
+
+
+def _compared(config: DictConfig) -> Study:
     described = _study(config)
-    study = Study.from_config(described | {"reference": _reference(described["reference"], config)})
-    tables, summary = _finished(study, config, folder, console)
-    print_summary(summary, console, metric=study.primary_metric, region=study.primary_region)
-    print_solves(tables[1], console)
+    return Study.from_config(described | {"reference": _reference(described["reference"], config)})
+
+
+def _tell(finished: Finished, folder: Path, console: Console) -> None:
+    study = finished.study
+    print_summary(finished.summary, console, metric=study.primary_metric, region=study.primary_region)
+    print_solves(finished.cells, console)
     for name in ("metrics.parquet", "summary.csv"):
         print_path(folder / name, console)
+
+
+def _report(folders: Sequence[Path], output: Path | None, console: Console) -> None:
+    print_path(build_report(folders, output, lambda line: console.print(f"  {line}")), console)
+
+
+def _follow(config: DictConfig, folder: Path, console: Console) -> None:
+    described = _study(config)
+    study = TemporalStudy.from_config(described | {"reference": _reference(described["reference"], config)})
+    planned = _planned(study, config, folder, console)
+    _tell(_finished(planned, config, console), folder, console)
+    for path in write_animation(study, planned):
+        print_path(path, console)
     if config.report:
-        print_path(build_report([folder], None, lambda line: console.print(f"  {line}")), console)
+        _report([folder], None, console)
 
 
 def _reference(wanted: str | list[str], config: DictConfig) -> str:
@@ -64,13 +104,13 @@ def _reference(wanted: str | list[str], config: DictConfig) -> str:
 def _tune(config: DictConfig, folder: Path, console: Console) -> None:
     check_identities(_plain(config.dataset))
     tuning = Tuning.from_config(_study(config), dict(_chosen(config, "method")))
-    tables, _ = _finished(tuning.study, config, folder, console)
-    trials = trial_table(tuning, *tables)
+    finished = _finished(_planned(tuning.study, config, folder, console), config, console)
+    trials = trial_table(tuning, finished.metrics, finished.cells)
     lines = chosen_yaml(tuning, trials)
     write_whole(folder / "trials.csv", lambda temporary: trials.to_csv(temporary, index=False))
     write_whole(folder / "chosen.yaml", lambda temporary: temporary.write_text(lines))
     print_tuning(trials, console)
-    print_solves(tables[1], console)
+    print_solves(finished.cells, console)
     console.print("\nfor experiments/conf/method, nothing there was changed:\n")
     console.print(lines, markup=False, highlight=False)
     for name in ("trials.csv", "chosen.yaml"):
@@ -79,19 +119,31 @@ def _tune(config: DictConfig, folder: Path, console: Console) -> None:
         print_path(build_tuning_sheet(folder), console)
 
 
-def _finished(
-    study: Study, config: DictConfig, folder: Path, console: Console
-) -> tuple[tuple[pd.DataFrame, pd.DataFrame], pd.DataFrame]:
-    """(metrics, cells) and the summary of a study of rows and pairs, once every cell is computed."""
-    started = datetime.now(UTC)
+@dataclass(frozen=True)
+class Finished:
+    """The tables of a study of rows and pairs."""
+
+    study: Study
+    metrics: pd.DataFrame
+    cells: pd.DataFrame
+    summary: pd.DataFrame
+
+
+def _planned(study: Study, config: DictConfig, folder: Path, console: Console) -> Plan:
+    """A study of rows and pairs, with its data loaded and everything checked."""
     methods = study.rows(dict(_chosen(config, "method")))
     study.check_rows([row.name for row in methods])
     metrics = {name: (cast(Metric, instantiate(settings)), settings) for name, settings in _chosen(config, "metric")}
-    dataset = _dataset(config, console)
-    planned = plan(study, dataset, methods, metrics, folder)
+    dataset = study.data(_dataset(config, console))
+    return plan(study, dataset, methods, metrics, folder)
+
+
+def _finished(planned: Plan, config: DictConfig, console: Console) -> Finished:
+    """Compute every cell that is missing, and write the tables."""
+    started = datetime.now(UTC)
     compute(planned, instantiate(config.backend), console)
     tables = collect(planned)
-    return tables, write_tables(planned, tables, _plain(config), started)
+    return Finished(planned.study, *tables, write_tables(planned, tables, _plain(config), started))
 
 
 def _measure(config: DictConfig, folder: Path, console: Console) -> None:
@@ -142,7 +194,9 @@ def _leave_out(config: DictConfig, folder: Path, console: Console) -> None:
 
 KINDS: dict[str, Callable[[DictConfig, Path, Console], None]] = {
     "comparison": _compare,
+    "conditions": _compare_conditions,
     "tuning": _tune,
+    "temporal": _follow,
     "runtime": _measure,
     "collision": _collide,
     "artistic": _intervene,

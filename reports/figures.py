@@ -79,7 +79,7 @@ def box_plot(study: StudyResults, path: Path) -> None:
         axes.set_ylim(0, axes.get_ylim()[1] * 1.03)
         axes.set_xticks(range(len(counts)), [f"{count} examples" for count in counts], fontsize=8.5)
         axes.tick_params(axis="x", length=0, pad=5)
-        axes.set_ylabel(_error_name(study))
+        axes.set_ylabel(error_name(study))
         axes.grid(axis="y", color="#e6e6e6", lw=0.5)
         axes.set_axisbelow(True)
         _legend(figure, study, methods)
@@ -108,11 +108,11 @@ def example_effect(study: StudyResults, path: Path) -> None:
                 lows.append(np.nanmin(np.where(low > 0, low, mean)))
                 highs.append(np.nanmax(np.where(np.isfinite(high), high, mean)))
         if lows:
-            _log_ticks(axes, "y", float(min(lows)), float(max(highs)))
+            log_ticks(axes, "y", float(min(lows)), float(max(highs)))
         axes.set_xlim(-0.4, len(counts) - 0.6)
         axes.set_xticks(range(len(counts)), [str(count) for count in counts])
         axes.set_xlabel("target examples")
-        axes.set_ylabel(_error_name(study))
+        axes.set_ylabel(error_name(study))
         axes.grid(axis="y", color="#e6e6e6", lw=0.5)
         axes.set_axisbelow(True)
         _legend(figure, study, methods)
@@ -155,7 +155,7 @@ def ratio_plot(study: StudyResults, tests: pd.DataFrame, path: Path) -> None:
             axes.tick_params(axis="y", length=0)
         finite = [value for value in everything if np.isfinite(value)] or [1.0]
         for axes in panels:
-            _log_ticks(axes, "x", min(*finite, 0.9), max(*finite, 1.1))
+            log_ticks(axes, "x", min(*finite, 0.9), max(*finite, 1.1))
         panels[0].set_yticks(range(len(names)), [m.label for m in names])
         panels[0].set_ylim(len(names) - 0.5, -0.5)
         reference = study.label(study.facts["reference"])
@@ -208,7 +208,7 @@ def _turn(study: StudyResults, method: MethodFacts) -> int:
     return min(index // COLORS, len(MARKERS) - 1)
 
 
-def _error_name(study: StudyResults) -> str:
+def error_name(study: StudyResults) -> str:
     metric = study.facts["primary_metric"]
     name = "vertex error, L2" if metric == "vertex_l2_mean" else metric.replace("_", " ")
     units = study.metrics.loc[study.metrics["metric"] == metric, "unit"].unique()
@@ -254,7 +254,7 @@ def _legend(figure: Figure, study: StudyResults, methods: list[MethodFacts]) -> 
     )
 
 
-def _log_ticks(axes: Axes, which: str, low: float, high: float) -> None:
+def log_ticks(axes: Axes, which: str, low: float, high: float) -> None:
     """A logarithmic axis with plain numbers at 1, 2, 5 of each decade, or fewer where they would touch."""
     margin = (high / low) ** 0.06
     points = 72 / axes.figure.dpi * (axes.bbox.width if which == "x" else axes.bbox.height)

@@ -23,9 +23,10 @@ from reports.colors import ERROR_COLORMAP
 from reports.findings import conditions, favours, findings
 from reports.heads import HeadPages, render_heads
 from reports.load import StudyResults, load
+from reports.ordering import Ordering, overview
+from reports.ordering_plot import ordering_plot
 from reports.statistics import REPLICATES, benjamini_hochberg
 from reports.summary import paired_tests, region_tests
-from reports.text import estimate
 from retarget.io.files import write_whole
 
 _TEMPLATE = Path(__file__).with_name("template.typ")
@@ -61,7 +62,7 @@ def describe(studies: Sequence[StudyResults], work: Path, progress: Callable[[st
         "finished": max(str(s.facts["provenance"]["finished"]) for s in studies),
         "correspondences": tables.correspondence_rows(studies, int(first.facts["provenance"]["seed"])),
         "studies": [_study(study, work, f"study{i}", progress) for i, study in enumerate(studies)],
-        "overview": _overview(studies),
+        "overview": _overview(studies, work),
         "colors": [to_hex(ERROR_COLORMAP(x)) for x in np.linspace(0, 1, 11)],
     }
 
@@ -194,22 +195,13 @@ def _heads(heads: HeadPages | None) -> dict[str, Any] | None:
     return None if heads is None else asdict(heads)
 
 
-def _overview(studies: Sequence[StudyResults]) -> dict[str, Any] | None:
-    """Methods x studies, side by side, where the report covers several."""
+def _overview(studies: Sequence[StudyResults], work: Path) -> dict[str, Any] | None:
+    """The order of methods under each condition, side by side, where the report covers several."""
     if len(studies) < 2:
         return None
-    labels = {m.name: m.label for s in studies for m in s.methods}
-    counts = sorted({count for s in studies for count in s.facts["n_examples"]})
-    rows = []
-    for name, label in labels.items():
-        for count in counts:
-            cells = []
-            for s in studies:
-                found = s.primary[(s.primary["method"] == name) & (s.primary["n_examples"] == count)]
-                r = found.iloc[0] if len(found) else None
-                cells.append("not run" if r is None else estimate(r["mean"], r["ci_low"], r["ci_high"]))
-            rows.append({"label": label, "count": count, "cells": cells})
-    return {"studies": [s.differs for s in studies], "rows": rows, "counts": len(counts)}
+    ordering = Ordering(studies)
+    ordering_plot(ordering, work / "ordering.svg")
+    return overview(ordering) | {"plot": "ordering.svg"}
 
 
 def _default_output(studies: Sequence[StudyResults]) -> Path:

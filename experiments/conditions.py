@@ -1,0 +1,48 @@
+"""One comparison under several conditions of its data: named sets of dataset settings, each in a folder of its own."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+from omegaconf import DictConfig, OmegaConf
+
+from retarget.check import InvalidInput
+from retarget.suggest import choose
+
+_FOLDER_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+
+
+def by_condition(config: DictConfig) -> dict[str, DictConfig]:
+    """The configuration of the comparison under each condition, in the order of `study.conditions`.
+
+    Raises InvalidInput unless that is {NAME: {SETTING: VALUE}}, with names for folders and settings of the dataset.
+    """
+    listed = OmegaConf.to_container(config.study.conditions, resolve=True) if config.study.get("conditions") else None
+    if not isinstance(listed, Mapping):
+        raise InvalidInput(
+            "study.conditions: expected settings of the dataset by the names of the conditions, such as "
+            f"{{quiet: {{noise_mm: 0.0}}, noisy: {{noise_mm: 0.3}}}}, got {listed!r}."
+        )
+    return {str(name): _under(config, str(name), settings) for name, settings in listed.items()}
+
+
+def said(settings: Mapping[str, object]) -> str:
+    """What a condition sets, in words."""
+    return ", ".join(f"{key} = {value}" for key, value in settings.items())
+
+
+def _under(config: DictConfig, name: str, settings: object) -> DictConfig:
+    where = f"study.conditions.{name}"
+    if not _FOLDER_NAME.fullmatch(name):
+        raise InvalidInput(f"{where}: expected a name for a folder, of letters, digits, '.', '_' and '-'.")
+    if not isinstance(settings, Mapping) or not settings:
+        raise InvalidInput(f"{where}: expected settings of the dataset, such as {{noise_mm: 0.3}}, got {settings!r}.")
+    for key in settings:
+        choose(f"{where}, setting of the dataset", str(key), [key for key in map(str, config.dataset) if key[0] != "_"])
+    comparison = OmegaConf.merge(config, {"dataset": dict(settings)})
+    assert isinstance(comparison, DictConfig)
+    OmegaConf.set_struct(comparison, False)
+    comparison.study.kind = "comparison"
+    comparison.study.pop("conditions")
+    return comparison

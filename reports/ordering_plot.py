@@ -1,0 +1,66 @@
+"""Mean errors of all methods under several conditions: a panel for each number of examples, a row for each method."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.lines import Line2D
+
+from reports.colors import method_color
+from reports.figures import WIDTH, canvas, error_name, log_ticks
+from reports.ordering import Ordering
+
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")  # of conditions, whose colours differ too
+ROW, LEGEND_LINE = 0.2, 0.17  # inches
+
+
+def ordering_plot(ordering: Ordering, path: Path) -> None:
+    """Means with their nominal 95 % intervals; methods as `Ordering.methods` orders them."""
+    methods, counts = ordering.methods, ordering.counts
+    names = ordering.conditions
+    columns = max(1, min(len(names), 110 // (max(map(len, names)) + 6)))
+    legend = 0.08 + LEGEND_LINE * -(-len(names) // columns)
+    row = ROW + 0.035 * max(len(names) - 3, 0)
+    height = 0.2 + row * len(methods) + 0.4 + legend
+    with canvas(path, WIDTH, height) as figure:
+        panels = figure.subplots(1, len(counts), sharey=True, squeeze=False)[0]
+        figure.subplots_adjust(left=0.2, right=0.99, bottom=(0.4 + legend) / height, top=1 - 0.2 / height, wspace=0.08)
+        spread = 0.62 * (np.arange(len(names)) - (len(names) - 1) / 2) / max(len(names), 2)
+        shown: list[float] = []
+        for axes, count in zip(panels, counts, strict=True):
+            for i, method in enumerate(methods):
+                if i % 2:
+                    axes.axhspan(i - 0.5, i + 0.5, color="#f4f4f4", lw=0, zorder=0)
+                mean = ordering.values(method.name, count)
+                low, high = (ordering.values(method.name, count, column) for column in ("ci_low", "ci_high"))
+                if not (mean > 0).any():
+                    axes.text(
+                        0.5, i, "no result" if np.isnan(mean).all() else "0", ha="center", va="center", fontsize=6,
+                        color="#a3216f", transform=axes.get_yaxis_transform(),
+                    )  # fmt: skip
+                for j in np.flatnonzero(mean > 0):
+                    color = method_color(int(j))
+                    axes.plot([low[j], high[j]], [i + spread[j]] * 2, lw=1.0, color=color, alpha=0.8)
+                    axes.plot(
+                        mean[j], i + spread[j], MARKERS[j % len(MARKERS)], ms=3.6, color=color, mec="white", mew=0.4
+                    )
+                if method.kind != "reference":
+                    shown += [*mean[mean > 0].tolist(), *low[low > 0].tolist(), *high[high > 0].tolist()]
+            axes.set_title(f"{count} examples", fontsize=7.5, pad=3)
+            axes.grid(axis="x", color="#e0e0e0", lw=0.5)
+            axes.set_axisbelow(True)
+            axes.tick_params(axis="y", length=0)
+        for axes in panels:
+            log_ticks(axes, "x", min(shown, default=0.1), max(shown, default=1.0))
+        panels[0].set_yticks(range(len(methods)), [method.label for method in methods])
+        panels[0].set_ylim(len(methods) - 0.5, -0.5)
+        figure.text(0.595, (legend + 0.03) / height, error_name(ordering.studies[0]), ha="center", va="bottom")
+        handles = [
+            Line2D(
+                [], [], color=method_color(j), marker=MARKERS[j % len(MARKERS)], ms=4, mec="white", mew=0.4, label=name
+            )
+            for j, name in enumerate(names)
+        ]
+        figure.legend(handles=handles, loc="lower center", ncols=columns, frameon=False, bbox_to_anchor=(0.595, 0.0),
+                      borderpad=0.3, borderaxespad=0, columnspacing=1.8)  # fmt: skip
