@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any, ClassVar
 
+from retarget.types import FloatArray
 from synth_data.cache import ArrayCache
 from synth_data.dataset import Progress
-from synth_data.personal.face import personal_face
-from synth_data.truth import Casting, GenericRig, Truth
+from synth_data.personal.face import PersonalFace, personal_face
+from synth_data.truth import Casting, GenericRig, Person, Truth
 
 
 @dataclass(frozen=True)
@@ -24,7 +26,26 @@ class Nonlinear(Truth):
     rehearsed: ClassVar[bool] = True
 
     def prepare(self, generic: GenericRig, cache: ArrayCache, progress: Progress) -> Casting:
-        return lambda person: personal_face(person.neutral, generic.faces, generic.regions, person.traits)
+        return lambda person: Generator(generic, person)
+
+
+@dataclass(frozen=True)
+class Generator:
+    """The face of a person, made when it is first asked to move; its factors stay behind when it is pickled."""
+
+    generic: GenericRig
+    person: Person
+
+    def __call__(self, weights: FloatArray) -> FloatArray:
+        """(t, n, 3) mm for weights (t, 51) of `SKIN_NAMES`."""
+        return self._face(weights)
+
+    @cached_property
+    def _face(self) -> PersonalFace:
+        return personal_face(self.person.neutral, self.generic.faces, self.generic.regions, self.person.traits)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 TRUTH = Nonlinear()
