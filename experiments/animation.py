@@ -41,7 +41,9 @@ def take(recording: str | None, start: float, seconds: float, fps: float | None,
     At `fps` frames per second, by default the recording's own, or 30. Raises InvalidInput for values out of range,
     for a file as `read_live_link` does, for a part beyond its end, and for fewer than 200 frames.
     """
-    for name, value, above in (("start", start, -1e-9), ("seconds", seconds, 0.0), ("fps", fps or 30.0, 0.0)):
+    rates = {} if fps is None else {"fps": fps}
+    for name, value in {"start": start, "seconds": seconds, **rates}.items():
+        above = -1e-9 if name == "start" else 0.0
         if not isinstance(value, int | float) or isinstance(value, bool) or not above < value < np.inf:
             raise InvalidInput(f"study.{name}: expected {'0 or more' if above < 0 else 'more than 0'}, got {value!r}.")
     end = start + seconds

@@ -69,11 +69,13 @@ def _over_time(rows: pd.DataFrame, times: pd.DataFrame, kinds: dict[str, str], r
     seconds = times.set_index("expression")["seconds"]
     curves: dict[str, pd.DataFrame] = {}
     for method, mine in rows.groupby(rows["method"].astype(str), sort=False):
-        wide = mine.pivot_table(index="expression", columns=["source", "target", "draw"], values="value")
+        wide = mine.dropna(subset="value").pivot_table(
+            index="expression", columns=["source", "target", "draw"], values="value"
+        )
         curves[str(method)] = wide.reindex(seconds.index)
-    shown = [method for method in curves if method != "neutral"]
-    highest = max(float(np.nanmax(curves[method].to_numpy())) for method in shown)
-    lines = -(-len(shown) // COLUMNS)
+    shown = [method for method, table in curves.items() if method != "neutral" and table.size]
+    highest = max((float(curves[method].max(axis=None)) for method in shown), default=1.0)
+    lines = max(-(-len(shown) // COLUMNS), 1)
     with canvas(path, 174 / 25.4, 1.25 * lines + 0.3) as figure:
         grid = figure.subplots(
             lines, COLUMNS, sharex=True, sharey=True, squeeze=False,
@@ -119,7 +121,9 @@ def _table(
             continue
         error = here.loc[(method, "vertex_l2_mean")]
         values = [
-            number(float(here.loc[(method, metric), "mean"]), digits) if (method, metric) in here.index else "n/a"
+            "n/a"
+            if (method, metric) not in here.index or (metric == "noise_response" and kind == "reference")
+            else number(float(here.loc[(method, metric), "mean"]), digits)
             for metric, _, digits in MEASURES
         ]
         spread = identity.loc[(identity["method"] == method) & (identity["n_examples"] == count), "spread_mm"].mean()

@@ -18,10 +18,10 @@ STILL = 1e-3  # mm per frame^2: a sequence that accelerates less counts as accel
 class Acceleration(Metric):
     """Second differences of an animation, as root mean squares over the vertices of a region.
 
-    `acceleration_error` is |a(prediction) - a(truth)| in % of the truth's over the whole animation: 100 is what a face
-    that does not move gets. `acceleration_excess` is (|a(prediction)| - |a(truth)|) / |a(source)| without unit, above
-    0 for jitter and below 0 for a motion that was smoothed away. Neither sees an offset, nor slow drift. The first and
-    the last frame have no second difference and take that of their neighbour.
+    `acceleration_error` is |a(prediction) - a(truth)| in % of the truth's mean over the animation: 100 is what a face
+    that does not move gets. `acceleration_excess` is |a(prediction)| - |a(truth)| over the source's mean, without
+    unit: above 0 for jitter, below 0 for a motion that was smoothed away. Neither sees an offset or slow drift. The
+    first and the last frame have no second difference and take that of their neighbour.
     """
 
     region: str
@@ -60,4 +60,4 @@ def size(vectors: FloatArray) -> FloatArray:
 
 
 def _whole(vectors: FloatArray) -> float:
-    return max(float(np.sqrt(np.mean(size(vectors) ** 2))), STILL)
+    return max(float(size(vectors).mean()), STILL)

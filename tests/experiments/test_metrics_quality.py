@@ -44,22 +44,26 @@ def measured(
     return {(m.metric, m.region): m.values.round(9).tolist() for m in values}
 
 
+def moved(vertices: FloatArray, *by: float) -> FloatArray:
+    return vertices + np.array(by)
+
+
 def turned(vertices: FloatArray, degrees: float) -> FloatArray:
     cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return vertices @ np.array([[1, 0, 0], [0, cos, -sin], [0, sin, cos]]).T
 
 
 def test_relative_error_by_hand() -> None:
-    truth = np.stack([SQUARE + [0, 0, 2], SQUARE + [0, 0, 0.01]])
-    values = measured(RelativeError(["head"]), truth + [0.5, 0, 0], truth)
+    truth = np.stack([moved(SQUARE, 0, 0, 2), moved(SQUARE, 0, 0, 0.01)])
+    values = measured(RelativeError(["head"]), moved(truth, 0.5, 0, 0), truth)
     assert values == {("relative_error", "head"): [25.0, 500.0]}  # the second frame counts as moving by 0.1 mm
     assert measured(RelativeError(["head"]), SQUARE, truth[0])["relative_error", "head"] == [100.0]
 
 
 def test_sized_error_by_hand() -> None:
-    values = measured(SizedError(["head"]), SQUARE + [0.5, 0, 0], SQUARE)
+    values = measured(SizedError(["head"]), moved(SQUARE, 0.5, 0, 0), SQUARE)
     assert values == {("sized_error", "head"): [25.0]}  # the square's side is 2 mm
-    large = measured(SizedError(["head"]), 2 * SQUARE + [0.5, 0, 0], 2 * SQUARE, 2 * SQUARE)
+    large = measured(SizedError(["head"]), moved(2 * SQUARE, 0.5, 0, 0), 2 * SQUARE, 2 * SQUARE)
     assert large == {("sized_error", "head"): [12.5]}
 
 
@@ -95,7 +99,7 @@ def test_lid_overclosure_by_hand() -> None:
     height = np.array([0, 1, 2, 2, 2, 1, 0.0])
     top, bottom = (np.stack([x, sign * height, 0.2 * height], axis=1) for sign in (1, -1))
     open_eye = np.concatenate([top, bottom[5:0:-1]])  # a loop from the inner corner over the upper lid
-    both = np.concatenate([open_eye, open_eye + [20, 0, 0]])
+    both = np.concatenate([open_eye, moved(open_eye, 20, 0, 0)])
     marks = {"endocanthion_left": 0, "exocanthion_left": 6, "endocanthion_right": 12, "exocanthion_right": 18}
     loops = {"lid_margin_left": np.roll(np.arange(12), 4), "lid_margin_right": np.arange(12, 24)[::-1]}
     regions = Regions(loops=loops, landmarks=marks)
@@ -109,7 +113,7 @@ def test_lid_overclosure_by_hand() -> None:
 
 
 def test_normal_deviation_by_hand() -> None:
-    truth = turned(SQUARE, 20) + [1, 2, 3]
+    truth = moved(turned(SQUARE, 20), 1, 2, 3)
     found = np.stack([turned(SQUARE, 50), turned(SQUARE, 200), 0 * SQUARE, truth])
     values = measured(NormalDeviation(["head"]), found, np.stack([truth] * 4))["normal_deviation", "head"]
     assert values == pytest.approx([30, 180, 90, 0], abs=1e-6)
@@ -140,9 +144,9 @@ def test_crossings_by_hand() -> None:
     triangle = np.array([[0, 0, 0], [4, 0, 0], [0, 4, 0]], dtype=float)
     upright = np.array([[1, 1, -1], [1, 1, 1], [1.5, 1, 1]], dtype=float)
     faces, regions = np.arange(9).reshape(3, 3), Regions(vertices={"head": np.arange(3)})
-    neutral = np.concatenate([triangle, upright, upright + [0, 0, 9]])
-    dipped = np.concatenate([triangle, upright, upright + [0.2, -0.5, 0]])
-    apart = np.concatenate([triangle - [0, 0, 5], upright, upright + [0, 0, 9]])
+    neutral = np.concatenate([triangle, upright, moved(upright, 0, 0, 9)])
+    dipped = np.concatenate([triangle, upright, moved(upright, 0.2, -0.5, 0)])
+    apart = np.concatenate([triangle - [0, 0, 5], upright, moved(upright, 0, 0, 9)])
     hidden = np.concatenate([triangle - [0, 0, 5], upright, upright * [1, 1, 0] + [-0.1, -0.1, 0.5]])
     values = measured(SelfIntersections("head"), np.stack([neutral, dipped, apart, hidden]), np.stack([neutral] * 4),
                       neutral, faces, regions)  # fmt: skip
@@ -207,8 +211,8 @@ def test_a_worse_prediction_scores_worse(name: str, comparison: Comparison) -> N
     error += 0.01 * (comparison.target_neutral - comparison.target_neutral.mean(axis=0))
     scores = {}
     for amount in (0.0, 1.0, 1.8):
-        moved = replace(comparison, retargeted=comparison.truth + amount * error)
-        for m in metric(moved):
+        worse_off = replace(comparison, retargeted=comparison.truth + amount * error)
+        for m in metric(worse_off):
             scores.setdefault((m.metric, m.region, m.direction), []).append(float(np.mean(m.values)))
     assert scores
     for (measure, region, direction), (perfect, bad, worse) in scores.items():
