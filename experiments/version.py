@@ -15,7 +15,10 @@ import retarget
 import synth_data
 
 LIBRARIES = ("numpy", "scipy", "cholespy", "pymetis", "trimesh", "pandas", "pyarrow", "hydra-core")
-_EXPERIMENTS_THAT_DECIDE = ("protocol.py", "evaluate.py", "references.py", "correspondence.py", "metrics")
+_EXPERIMENTS_THAT_DECIDE = (
+    "protocol.py", "evaluate.py", "references.py", "correspondence.py", "lip_depth.py", "animation.py", "temporal.py",
+    "metrics",
+)  # fmt: skip
 
 
 @cache
