@@ -54,7 +54,8 @@ def leave_out(
     rows: list[dict[str, object]] = []
     shown: list[Shown] = []
     with limited_threads(threads), progress(console, "pairs", study.pairs) as advance:
-        for case in cases(replace(study, expressions=1), dataset):
+        # No expression is tested besides the shapes; one is drawn all the same where there is one to spare.
+        for case in cases(replace(study, expressions=int(len(dataset.expressions) > study.shapes)), dataset):
             methods = {maker.name: maker().prepare(case.pair) for maker in makers}
             for fold in range(study.folds):
                 held, frames = folded(study, case, methods, fold)

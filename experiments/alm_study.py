@@ -85,8 +85,9 @@ def cases(study: AlmStudy, dataset: Dataset) -> Iterator[Case]:
     needed = study.expressions + study.shapes
     if len(dataset.expressions) < needed:
         raise InvalidInput(
-            f"dataset.expressions: expected at least {needed} (expressions and shapes of the study), "
-            f"got {len(dataset.expressions)}."
+            f"dataset: expected at least {needed} expressions ({study.shapes} shapes that methods know and "
+            f"{study.expressions} that are tested), got {len(dataset.expressions)}; ask for fewer with study.shapes "
+            "and study.expressions."
         )
     for source, target in chosen_pairs(dataset.identities, study.pairs):
         drawn = draw(source, target, 0, len(dataset.expressions), study.expressions, study.seed)

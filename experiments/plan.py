@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +12,16 @@ import numpy as np
 
 from experiments.correspondence import EmbeddingSettings, RiggingSettings
 from experiments.evaluate import Cell, PairTask
-from experiments.metrics.metric import Comparison, Metric
+from experiments.metrics.metric import Comparison, Metric, lacking
 from experiments.protocol import check_counts
 from experiments.record import SCHEMA, digest, read_header
 from experiments.study import Row, Study
 from experiments.version import code_hash
 from retarget.check import InvalidInput, check_faces, check_frames, check_triangle_areas, check_vertices
 from retarget.suggest import choose
+from retarget.types import Regions
 from synth_data.dataset import Dataset
+from synth_data.makehuman.regions import load_regions
 
 
 @dataclass(frozen=True)
@@ -58,12 +60,10 @@ def plan(
 
     A metric that cannot measure the topology is left out. Raises InvalidInput if the study cannot be run.
     """
-    check_dataset(dataset)
     check_counts(len(dataset.expressions), study.test_expressions, study.n_examples)
+    check_dataset(dataset)
     study.check_rows([row.name for row in methods])
-    refused = {name: metric.unsupported(dataset.regions) for name, (metric, _) in metrics.items()}
-    left_out = {name: reason for name, reason in refused.items() if reason}
-    metrics = {name: metrics[name] for name in metrics if name not in left_out}
+    metrics, left_out = _measurable(metrics, dataset.regions)
     check_metrics(study, dataset, {name: metric for name, (metric, _) in metrics.items()})
     rows = (*methods, *(Row(name, {"reference": name}) for name in study.references))
     pairs = list(itertools.permutations(dataset.identities, 2))
@@ -118,6 +118,31 @@ def check_dataset(dataset: Dataset) -> None:
         if dataset.conditions.noise_mm > 0:
             check_triangle_areas(f"{identity}, scanned neutral", dataset.scanned_neutral(identity), faces)
         check_frames(f"{identity}, expressions", dataset.frames(identity, everything), count)
+
+
+def _measurable(
+    metrics: Mapping[str, tuple[Metric, Mapping[str, Any]]], regions: Regions
+) -> tuple[dict[str, tuple[Metric, Mapping[str, Any]]], dict[str, str]]:
+    """The metrics that this topology allows, on those of their regions that it names, and what is left out and why.
+
+    Only regions of docs/regions.md are left out: any other name is a mistake, which the metric itself refuses.
+    """
+    known = load_regions().vertices
+    measurable, left_out = {}, {}
+    for name, (metric, settings) in metrics.items():
+        if reason := metric.unsupported(regions):
+            left_out[name] = reason
+            continue
+        wanted = list(getattr(metric, "regions", ()))
+        missing = [region for region in wanted if region in known and region not in regions.vertices]
+        if missing:
+            left_out[name if missing == wanted else f"{name} in {', '.join(missing)}"] = str(
+                lacking("vertices", missing, regions.vertices)
+            )
+            metric = replace(metric, regions=[region for region in wanted if region not in missing])  # type: ignore[type-var]
+        if missing != wanted or not wanted:
+            measurable[name] = metric, settings
+    return measurable, left_out
 
 
 def check_metrics(study: Study, dataset: Dataset, metrics: Mapping[str, Metric]) -> None:

@@ -35,8 +35,11 @@ def check_counts(expressions: int, test_expressions: int, n_examples: Sequence[i
     """Raises InvalidInput where the dataset has too few expressions for the study."""
     available = expressions - test_expressions
     if max(n_examples) > available:
+        fitting = [count for count in n_examples if count <= available]
+        fitting = fitting or [count for count in (available,) if count > 0]
+        ask = f"Ask for fewer: 'study.n_examples=[{','.join(map(str, fitting))}]'" if fitting else "Hold out fewer"
         raise InvalidInput(
             f"study.n_examples: {max(n_examples)} examples asked for, but the dataset has {expressions} expressions, "
-            f"of which {test_expressions} are held out for the test. Ask for at most {max(available, 0)}, "
-            "or use a dataset with more expressions."
+            f"of which {test_expressions} are held out for the test (study.test_expressions), so at most "
+            f"{max(available, 0)} are left. {ask}, or use a dataset with more expressions."
         )
