@@ -89,13 +89,14 @@ def _shapes(
     buffer: _Buffer, faces: IntArray, mesh: MorphMesh, normals: bool, advance: Callable[[int], None]
 ) -> dict[str, Any]:
     """Attributes of the neutral and displacements of the targets, of a primitive."""
-    neutral, upright = _metres(mesh.neutral), _unit_normals(mesh.neutral, faces)
+    rest = mesh.neutral.astype(mesh.shapes.dtype)  # rounded like the shapes, so that what does not move is zero
+    neutral, upright = _metres(rest), _unit_normals(rest, faces)
     primitive: dict[str, Any] = {
         "attributes": {"POSITION": buffer.vectors(neutral, bounds=True), "NORMAL": buffer.vectors(upright)},
         "targets": [],
     }
     for shape in mesh.shapes:
-        target = {"POSITION": buffer.vectors(_metres(shape) - neutral, bounds=True, sparse=True)}
+        target = {"POSITION": buffer.vectors(_metres(shape - rest), bounds=True, sparse=True)}
         if normals:
             target["NORMAL"] = buffer.vectors(_unit_normals(shape, faces) - upright, sparse=True)
         primitive["targets"].append(target)

@@ -64,9 +64,9 @@ def test_names_that_are_no_files_of_their_own_are_refused(tmp_path: Path, name: 
 
 
 def test_shapes_blend_linearly() -> None:
-    shapes = np.stack([NEUTRAL + [1.0, 0, 0], NEUTRAL + [0, 2.0, 0]])
+    shapes = np.stack([np.add(NEUTRAL, [1.0, 0, 0]), np.add(NEUTRAL, [0, 2.0, 0])])
     mesh = MorphMesh("a", NEUTRAL, shapes, ("x", "y"), np.zeros(1), np.array([[0.5, 0.25]]))
-    np.testing.assert_allclose(mesh.at(0), NEUTRAL + [0.5, 0.5, 0])
+    np.testing.assert_allclose(mesh.at(0), np.add(NEUTRAL, [0.5, 0.5, 0]))
 
 
 def test_arrays_that_do_not_fit_and_names_given_twice_are_refused() -> None:
