@@ -211,7 +211,9 @@ def _study(config: DictConfig) -> dict[str, Any]:
 
 
 def _dataset(config: DictConfig, console: Console) -> Dataset:
-    dataset: Dataset = instantiate(config.dataset).load(lambda line: console.print(f"  {line}"))
+    dataset: Dataset = instantiate(config.dataset).load(
+        lambda line: console.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
+    )
     return dataset
 
 
