@@ -106,7 +106,7 @@ def report(config: DictConfig) -> None:
     if config.study.kind == "tuning" and not config.inputs:
         print_path(build_tuning_sheet(results_folder(config)), console)
         return
-    inputs = [Path(folder).absolute() for folder in config.inputs or [f"{config.paths.results}/{config.study.name}"]]
+    inputs = [Path(folder).absolute() for folder in config.inputs or finished_folders(config)]
     output = Path(config.output).absolute() if config.output else None
     print_path(build_report(inputs, output, console.print), console)
 
@@ -117,6 +117,13 @@ def export(config: DictConfig) -> None:
     from experiments.export.command import export as write
 
     write(config, Console())
+
+
+def finished_folders(config: DictConfig) -> list[Path]:
+    """The study's results: one folder, or one for each condition that is finished, in the study's order."""
+    folder = results_folder(config)
+    conditions = [folder / name for name in config.study.get("conditions", ())]
+    return [each for each in conditions if (each / "study.json").exists()] or [folder]
 
 
 @hydra.main(config_name="gate", **HYDRA_MAIN)

@@ -112,7 +112,7 @@ def findings(ordering: Ordering) -> Iterator[str]:
         if len(first) == 1:
             said += f"{next(iter(first))} under every condition."
         else:
-            said += "; ".join(f"{label} with {', '.join(under)}" for label, under in first.items()) + "."
+            said += "; ".join(f"{label} with {' and '.join(under)}" for label, under in first.items()) + "."
         yield f"{said} {_agreement(ordering, count)}"
 
 
@@ -121,7 +121,7 @@ def _agreement(ordering: Ordering, count: int) -> str:
     known = {pair: tau for pair, tau in taus.items() if np.isfinite(tau)}
     if not known:
         return f"Orders of fewer than {FEWEST} methods are not compared."
-    if min(known.values()) == 1:
+    if np.isclose(min(known.values()), 1):
         return "The order of methods is the same under all conditions."
     (i, j), least = min(known.items(), key=lambda item: item[1])
     pair = f"{ordering.conditions[i]} and {ordering.conditions[j]}"

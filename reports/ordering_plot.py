@@ -13,13 +13,16 @@ from reports.ordering import Ordering
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")  # of conditions, whose colours differ too
 ROW, LEGEND_LINE = 0.2, 0.17  # inches
+LEGEND_LETTERS = 115  # on one line
 
 
 def ordering_plot(ordering: Ordering, path: Path) -> None:
     """Means with their nominal 95 % intervals; methods as `Ordering.methods` orders them."""
-    methods, counts = ordering.methods, ordering.counts
+    methods = [method for method in ordering.methods if method.name != "neutral"]  # its error is the motion itself
+    counts = ordering.counts
     names = ordering.conditions
-    columns = max(1, min(len(names), 110 // (max(map(len, names)) + 6)))
+    wide = sum(len(name) + 6 for name in names) > LEGEND_LETTERS
+    columns = max(LEGEND_LETTERS // (max(map(len, names)) + 6), 1) if wide else len(names)
     legend = 0.08 + LEGEND_LINE * -(-len(names) // columns)
     row = ROW + 0.035 * max(len(names) - 3, 0)
     height = 0.2 + row * len(methods) + 0.4 + legend
