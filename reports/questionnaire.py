@@ -31,7 +31,7 @@ EXAMPLES = {  # pictures of the target beside the source: what a rater reads abo
     "truth": "Target, the same expression",
     "none": "",
 }
-_MOST_METHODS = len(ascii_uppercase)
+_MOST_METHODS = 8  # pictures that a person can rank, and that fit a page
 
 
 @dataclass(frozen=True)

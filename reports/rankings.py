@@ -21,11 +21,7 @@ from retarget.check import InvalidInput
 from retarget.suggest import choose, nearest
 
 COLUMNS = ("participant", "item", "letter", "rank")
-RATERS = {  # who ranked: as a report calls them
-    "human": "human raters",
-    "synthetic": "synthetic raters, a test",
-    "metric": "metrics, no rater",
-}
+RATERS = {"human": "human raters", "synthetic": "synthetic raters", "metric": "metrics"}  # who ranked
 TIES = ("refuse", "average")
 INCOMPLETE = ("refuse", "drop")
 _SHOWN = 5  # cases that a message lists

@@ -20,6 +20,7 @@ from reports.sheet import Picture, PictureRow, Pictures, Table, write_sheet
 from reports.text import bounds, number, p_value
 from retarget.io.files import write_whole
 
+_NOT_PEOPLE = {"synthetic": ", a test", "metric": ", no rater"}
 _FORMULA = tuple("=+-@\t\r")  # what a spreadsheet would compute instead of show
 _COLUMNS = (
     " Interval: of the mean over participants, nominal 95 %. Deviation: of single ranks. First: how often ranked "
@@ -49,18 +50,18 @@ def build_rankings_sheet(rankings: Rankings, folder: Path) -> tuple[Path, Path, 
 
 
 def title(rankings: Rankings) -> str:
-    return f"Rankings by {len(rankings.participants)} {RATERS[rankings.raters]}"
+    return f"Rankings by {_who(rankings)}{_NOT_PEOPLE.get(rankings.raters, '')}"
 
 
 def describe(rankings: Rankings, parts: Sequence[Part]) -> str:
     """Who ranked what, from which files, and what follows."""
     key, design = rankings.key, rankings.key.design
-    n, items = len(rankings.participants), len(key.items)
+    items = len(key.items)
     shown = {"none": "no example of the target", "truth": "the target's own expression"}.get(
         design["target_example"], f"a {design['target_example']} example of the target"
     )
     said = [
-        f"{n} {RATERS[rankings.raters]} ranked {len(key.methods)} methods on {items} items "
+        f"{_who(rankings)} ranked {len(key.methods)} methods on {items} items "
         f"({_counts(rankings)} examples, {shown}) of questionnaire {key.id}, study '{key.study}'.",
         f"Asked: {design['question']}",
         *_left_out(rankings),
@@ -160,15 +161,14 @@ def _bars(axes: Axes, rankings: Rankings, part: Part, width: float, named: bool 
     axes.set_xticks(range(len(labels)), labels, fontsize=8)
     axes.tick_params(axis="x", length=0)
     what = "all items" if part.n_examples is None else f"{part.n_examples} examples"
-    axes.set_title(f"{what}: {part.participants} participants, {part.items} items", fontsize=8.5, loc="left")
+    axes.set_title(f"{what}: {_many(part.items, 'item')}", fontsize=8, loc="left")
 
 
 def _figure_caption(rankings: Rankings) -> str:
-    by = RATERS[rankings.raters]
     below = " (above), and by number of target examples (below)" if len(rankings.key.counts) > 1 else ""
     figure = "Fig. 11" if rankings.key.design["name"] == "parts" else "Fig. 8"
     return (
-        f"Mean rank over all items{below}, given by {len(rankings.participants)} {by}, as in {figure} of the paper. A "
+        f"Mean rank over all items{below}, given by {_who(rankings)}, as in {figure} of the paper. A "
         "shorter bar is a better rank. What single people and items differ by is seen in the dots and the thin line."
     )
 
@@ -260,6 +260,10 @@ def _left_out(rankings: Rankings) -> list[str]:
     if rankings.absent:
         said.append(f"{_many(rankings.absent, 'participant')} without a complete item left out.")
     return said
+
+
+def _who(rankings: Rankings) -> str:
+    return _many(len(rankings.participants), RATERS[rankings.raters].removesuffix("s"))
 
 
 def _many(count: int, noun: str) -> str:
