@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -196,6 +197,20 @@ def comparison() -> Comparison:
     )
 
 
+PAGE = Path(__file__).parents[2] / "docs" / "metrics.md"
+
+
+def page_rows() -> dict[str, str]:
+    """The rows of the page's table by metric."""
+    table = PAGE.read_text(encoding="utf-8").split("\n\n")
+    lines = next(part for part in table if part.startswith("| metric |")).splitlines()[2:]
+    return {line.split("`")[1]: line for line in lines}
+
+
+def test_the_page_lists_every_metric() -> None:
+    assert set(page_rows()) == set(options("metric"))
+
+
 NEED_MORE = ("acceleration", "noise_response", "tissue")  # than single frames, or a template
 
 
@@ -209,10 +224,14 @@ def test_a_worse_prediction_scores_worse(name: str, comparison: Comparison) -> N
     for side in ("left", "right"):
         error[comparison.regions.vertices[f"lid_margin_upper_{side}"], 1] -= 8.0
     error += 0.01 * (comparison.target_neutral - comparison.target_neutral.mean(axis=0))
-    scores = {}
+    scores: dict[tuple[str, str, str], list[float]] = {}
+    row = page_rows()[name]
     for amount in (0.0, 1.0, 1.8):
         worse_off = replace(comparison, retargeted=comparison.truth + amount * error)
         for m in metric(worse_off):
+            assert f"`{m.metric}`" in row or f"`_{m.metric.rsplit('_', 1)[1]}`" in row
+            assert m.unit in row.split("|")[3]
+            assert m.direction in row.split("|")[4]
             scores.setdefault((m.metric, m.region, m.direction), []).append(float(np.mean(m.values)))
     assert scores
     for (measure, region, direction), (perfect, bad, worse) in scores.items():
