@@ -7,12 +7,11 @@ docs/truths.md compares them.
 
 from __future__ import annotations
 
-import functools
 import pkgutil
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from importlib import import_module, resources
+from importlib import import_module
 from typing import ClassVar
 
 import numpy as np
@@ -23,6 +22,7 @@ from retarget.suggest import choose
 from retarget.types import FloatArray, IntArray, Regions
 from synth_data.arkit import MIRRORED, SKIN_NAMES
 from synth_data.cache import ArrayCache, fingerprint
+from synth_data.code import code_digest
 from synth_data.dataset import Progress
 from synth_data.personal.traits import Traits
 
@@ -157,19 +157,6 @@ def person_key(name: str, generic: GenericRig, person: Person) -> str:
     )
 
 
-PACKAGES = ("synth_data", "synth_data.personal", "synth_data.truths", "retarget.geometry", "retarget.rig")
-MODULES = ("retarget.types", "retarget.check")
-
-
-@functools.cache
 def truth_code(*packages: str) -> str:
     """SHA-256 over the code that makes frames: of every kind of truth, and of packages of a dataset's own."""
-    found: list[str | bytes] = []
-    for package in (*PACKAGES, *packages):
-        for file in sorted(resources.files(package).iterdir(), key=lambda file: file.name):
-            if file.name.endswith((".py", ".json")) and not file.name.startswith(("author_", "measure")):
-                found += [f"{package}/{file.name}", file.read_bytes()]
-    for module in MODULES:
-        package, _, name = module.rpartition(".")
-        found += [module, (resources.files(package) / f"{name}.py").read_bytes()]
-    return fingerprint(found)
+    return code_digest("synth_data.truths", *packages)
