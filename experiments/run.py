@@ -52,15 +52,15 @@ def _compare(config: DictConfig, folder: Path, console: Console) -> None:
 
 def _compare_conditions(config: DictConfig, folder: Path, console: Console) -> None:
     """Everything is planned before anything is computed: a condition that cannot be is found at once."""
-    plans = {}
-    for name, condition in by_condition(config).items():
+    conditions, plans = by_condition(config), {}
+    for name, condition in conditions.items():
         console.print(f"condition {name}: {said(config.study.conditions[name])}", markup=False, highlight=False)
-        plans[name] = condition, _planned(_compared(condition), condition, folder / name, console)
-    cells = sum(len(planned.cells) for _, planned in plans.values())
-    console.print(f"{len(plans)} conditions, {cells} cells; {estimate([planned for _, planned in plans.values()])}")
-    for i, (name, (condition, planned)) in enumerate(plans.items()):
+        plans[name] = _planned(_compared(condition), condition, folder / name, console)
+    every = list(plans.values())
+    console.print(f"{len(plans)} conditions, {sum(len(planned.cells) for planned in every)} cells; {estimate(every)}")
+    for i, (name, planned) in enumerate(plans.items()):
         console.print(f"\ncondition {name} ({i + 1} of {len(plans)})", markup=False, highlight=False)
-        _tell(_finished(planned, condition, console), folder / name, console)
+        _tell(_finished(planned, conditions[name], console, every), folder / name, console)
     if config.report:
         _report([folder / name for name in plans], folder / "report.pdf", console)
 
@@ -138,10 +138,10 @@ def _planned(study: Study, config: DictConfig, folder: Path, console: Console) -
     return plan(study, dataset, methods, metrics, folder)
 
 
-def _finished(planned: Plan, config: DictConfig, console: Console) -> Finished:
+def _finished(planned: Plan, config: DictConfig, console: Console, alike: Sequence[Plan] = ()) -> Finished:
     """Compute every cell that is missing, and write the tables."""
     started = datetime.now(UTC)
-    compute(planned, instantiate(config.backend), console)
+    compute(planned, instantiate(config.backend), console, alike)
     tables = collect(planned)
     return Finished(planned.study, *tables, write_tables(planned, tables, _plain(config), started))
 

@@ -158,6 +158,7 @@ def test_each_condition_has_results_of_its_own(tmp_path: Path) -> None:
     run_module.run(noise_study("backend=serial"), tmp_path, out)
     said = out.file.getvalue()  # type: ignore[attr-defined]
     assert "3 conditions, 72 cells; estimated time: no earlier cells" in said
+    assert said.count("no earlier cells") == 2  # of all, and of the first condition; the others are judged by it
     studies = load([tmp_path / name for name in ("clean", "100um", "300um")])
     assert [study.differs for study in studies] == [f"dataset.noise_mm={amount}" for amount in (0.0, 0.1, 0.3)]
     means = [study.primary.set_index("method")["mean"] for study in studies]
