@@ -160,8 +160,8 @@ def _bars(axes: Axes, rankings: Rankings, part: Part, width: float, named: bool 
     labels = [rankings.key.labels[rank.method] for rank in part.ranks] if named else []
     axes.set_xticks(range(len(labels)), labels, fontsize=8)
     axes.tick_params(axis="x", length=0)
-    what = "all items" if part.n_examples is None else f"{part.n_examples} examples"
-    axes.set_title(f"{what}: {_many(part.items, 'item')}", fontsize=8, loc="left")
+    of = "all" if part.n_examples is None else f"{part.n_examples} examples:"
+    axes.set_title(f"{of} {_many(part.items, 'item')}", fontsize=8, loc="left")
 
 
 def _figure_caption(rankings: Rankings) -> str:
