@@ -12,7 +12,7 @@ from reports.figures import WIDTH, canvas, error_name, log_ticks
 from reports.ordering import Ordering
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")  # of conditions, whose colours differ too
-ROW, LEGEND_LINE = 0.2, 0.17  # inches
+ROW, LEGEND_LINE = 0.23, 0.17  # inches
 LEGEND_LETTERS = 115  # on one line
 
 
@@ -28,7 +28,7 @@ def ordering_plot(ordering: Ordering, path: Path) -> None:
     height = 0.2 + row * len(methods) + 0.4 + legend
     with canvas(path, WIDTH, height) as figure:
         panels = figure.subplots(1, len(counts), sharey=True, squeeze=False)[0]
-        figure.subplots_adjust(left=0.2, right=0.99, bottom=(0.4 + legend) / height, top=1 - 0.2 / height, wspace=0.08)
+        figure.subplots_adjust(left=0.2, right=0.99, bottom=(0.4 + legend) / height, top=1 - 0.2 / height, wspace=0.1)
         spread = 0.62 * (np.arange(len(names)) - (len(names) - 1) / 2) / max(len(names), 2)
         shown: list[float] = []
         for axes, count in zip(panels, counts, strict=True):
