@@ -20,7 +20,7 @@ from synth_data.mesh_folder.store import Stored
 
 UNITS = {"mm": 1.0, **LARGE_UNITS}  # in mm
 PLAUSIBLE = (80.0, 1000.0)  # mm, longest side of a neutral: from a mask of the face to a bust
-ALIKE = 2.5  # sizes of people, and of a person's expressions, that differ by more are of different units
+ALIKE = 2.0  # sizes of people, and of a person's expressions, that differ by more are of different units
 STILL_DEGREES, STILL_MM = 1.0, 1.0  # cranium of an expression against the neutral's, where moving ones are refused
 
 
@@ -121,25 +121,29 @@ def check_sizes(people: Mapping[str, Files], stored: Mapping[str, Stored], units
 
     The neutral comes first in the files of each.
     """
+
+    def neutral(files: Files) -> Path:
+        return next(iter(files.values()))
+
     sizes = {identity: UNITS[units] * found.extents[0] for identity, found in stored.items()}
-    usual = float(np.median(list(sizes.values())))
+    others = {name: float(np.median([sizes[other] for other in sizes if other != name])) for name in sizes}
     for identity, size in sizes.items():
-        neutral = next(iter(people[identity].values()))
-        alone = not 1 / ALIKE < size / usual < ALIKE
         if not PLAUSIBLE[0] <= size <= PLAUSIBLE[1]:
             fitting = [unit for unit, mm in UNITS.items() if PLAUSIBLE[0] <= size / UNITS[units] * mm <= PLAUSIBLE[1]]
             mend = f"Set dataset.units={fitting[0]}." if fitting else "Set dataset.units to the unit of the files."
-            if alone and PLAUSIBLE[0] <= usual <= PLAUSIBLE[1]:
-                mend = f"The others measure about {usual:.0f} mm: scale all meshes of {identity} by {usual / size:.3g}."
+            if PLAUSIBLE[0] <= others[identity] <= PLAUSIBLE[1]:
+                usual = others[identity]
+                mend = f"The others measure about {usual:.0f} mm: scale all meshes of {identity} by {usual / size:.2g}."
             raise InvalidInput(
-                f"{neutral}: this head measures {size:.4g} mm at its longest side if the files are in {units}, "
-                f"expected {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} mm. {mend}"
+                f"{neutral(people[identity])}: this head measures {size:.4g} mm at its longest side if the files are "
+                f"in {units}, expected {PLAUSIBLE[0]:g} to {PLAUSIBLE[1]:g} mm. {mend}"
             )
-        if alone:
+    for identity, size in sizes.items():
+        if not 1 / ALIKE < size / others[identity] < ALIKE:
             raise InvalidInput(
-                f"{neutral}: this head measures {size:.4g} mm at its longest side, the others about {usual:.0f} mm; "
-                f"they are probably in different units. Bring all people into one, or leave {identity} out with "
-                "dataset.identities."
+                f"{neutral(people[identity])}: this head measures {size:.4g} mm at its longest side, the others about "
+                f"{others[identity]:.0f} mm; they are probably in different units. Bring all people into one, or leave "
+                "one out with dataset.identities."
             )
     for identity, found in stored.items():
         for file, extent in zip(people[identity].values(), found.extents, strict=True):
