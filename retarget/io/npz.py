@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from retarget.check import InvalidInput, check_faces, check_frames, check_vertices
 from retarget.io.files import write_whole
@@ -20,7 +19,7 @@ KEYS = ("faces", "neutral", "shapes", "shape_names", "times", "weights", "name",
 
 def write_npz(path: Path | str, faces: IntArray, mesh: MorphMesh) -> None:
     """Positions in mm as float32, faces (f, 3) as int32, texts as text, `about` as JSON. Whole or not at all."""
-    arrays: dict[str, NDArray[Any]] = {
+    arrays: dict[str, Any] = {
         "faces": faces.astype(np.int32),
         "neutral": mesh.neutral.astype(np.float32),
         "shapes": mesh.shapes.astype(np.float32),
