@@ -34,17 +34,17 @@ class Volume(Metric):
 
 def volume(frames: FloatArray, faces: IntArray, rims: Sequence[IntArray]) -> FloatArray:
     """(t,) cm^3 within frames (t, n, 3) mm of triangles (f, 3), closed at its rims: the flow of (0, 0, z) outward."""
-    corners = [frames[:, faces[:, i]] for i in range(3)]
-    total = _flow(*corners)
-    for rim in rims:
-        start, end = frames[:, rim[:, 0]], frames[:, rim[:, 1]]
-        total += _flow(end, start, np.broadcast_to(start.mean(axis=1, keepdims=True), start.shape))
+    total = np.empty(len(frames))
+    for i, frame in enumerate(frames):
+        x, y, z = np.ascontiguousarray(frame.T)
+        total[i] = _flow(*((x[corner], y[corner], z[corner]) for corner in faces.T))
+        for start, end in (rim.T for rim in rims):
+            centre = x[start].mean(), y[start].mean(), z[start].mean()
+            total[i] += _flow((x[end], y[end], z[end]), (x[start], y[start], z[start]), centre)
     return total / 1000
 
 
-def _flow(a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
-    """(t,) mm^3: the mean height of triangles (t, f, 3) mm times their area seen along z."""
-    u, v = b - a, c - a
-    area = (u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]) / 2
-    flow: FloatArray = ((a + b + c)[..., 2] / 3 * area).sum(axis=1)
-    return flow
+def _flow(a: Sequence[FloatArray], b: Sequence[FloatArray], c: Sequence[FloatArray]) -> float:
+    """mm^3: the mean height of triangles times their area seen along z; corners are x, y and z (f,) mm."""
+    area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+    return float((a[2] + b[2] + c[2]) @ area / 6)
