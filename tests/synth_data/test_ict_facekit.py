@@ -22,7 +22,7 @@ from retarget.io.regions import check_regions
 from synth_data.arkit import SKIN_NAMES
 from synth_data.cache import ArrayCache
 from synth_data.ict_facekit.author_data import author_regions
-from synth_data.ict_facekit.clone import FOLDER, MM, NEUTRAL, SKIN_VERTICES, Clone, find_clone, read_skin
+from synth_data.ict_facekit.clone import FOLDER, NEUTRAL, SKIN_VERTICES, Clone, find_clone, read_skin
 from synth_data.ict_facekit.dataset import IctFaceKit
 from synth_data.ict_facekit.expressions import EXPRESSIONS, parts
 from synth_data.ict_facekit.identities import LARGEST, IdentitySampler, coefficient
@@ -99,12 +99,12 @@ def test_skin_is_the_connected_piece_that_holds_the_face(root: Path, model: Face
     kept, triangles = isolate_skin(faces, len(vertices), {"nose": 4857})
     np.testing.assert_array_equal(kept, np.arange(SKIN_VERTICES))
     np.testing.assert_array_equal(triangles, model.faces)
-    np.testing.assert_allclose(model.neutral, MM * vertices[kept], atol=1e-5)
+    np.testing.assert_allclose(model.neutral, 10 * vertices[kept], atol=1e-5)  # cm to mm
 
 
 def test_units_are_differences_of_meshes_and_halves_add_up(root: Path, model: FaceModel) -> None:
     def difference(name: str) -> Any:
-        return MM * read_mesh(root / FOLDER / f"{name}.obj")[0][:SKIN_VERTICES] - model.neutral
+        return 10 * read_mesh(root / FOLDER / f"{name}.obj")[0][:SKIN_VERTICES] - model.neutral
 
     for unit, made_of in (("mouthSmileLeft", ["mouthSmile_L"]), ("browInnerUp", ["browInnerUp_L", "browInnerUp_R"])):
         expected = np.sum([difference(name) for name in made_of], axis=0)
