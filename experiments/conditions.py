@@ -10,7 +10,7 @@ from omegaconf import DictConfig, OmegaConf
 from retarget.check import InvalidInput
 from retarget.suggest import choose
 
-_FOLDER_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")  # also a key on the command line
 
 
 def by_condition(config: DictConfig) -> dict[str, DictConfig]:
@@ -34,8 +34,8 @@ def said(settings: Mapping[str, object]) -> str:
 
 def _under(config: DictConfig, name: str, settings: object) -> DictConfig:
     where = f"study.conditions.{name}"
-    if not _FOLDER_NAME.fullmatch(name):
-        raise InvalidInput(f"{where}: expected a name for a folder, of letters, digits, '.', '_' and '-'.")
+    if not _NAME.fullmatch(name):
+        raise InvalidInput(f"{where}: expected a name of letters, digits, '_' and '-', a letter first.")
     if not isinstance(settings, Mapping) or not settings:
         raise InvalidInput(f"{where}: expected settings of the dataset, such as {{noise_mm: 0.3}}, got {settings!r}.")
     for key in settings:

@@ -159,7 +159,7 @@ def test_each_condition_has_results_of_its_own(tmp_path: Path) -> None:
     said = out.file.getvalue()  # type: ignore[attr-defined]
     assert "3 conditions, 72 cells; estimated time: no earlier cells" in said
     assert said.count("no earlier cells") == 2  # of all, and of the first condition; the others are judged by it
-    studies = load([tmp_path / name for name in ("clean", "100um", "300um")])
+    studies = load([tmp_path / name for name in ("clean", "um_100", "um_300")])
     assert [study.differs for study in studies] == [f"dataset.noise_mm={amount}" for amount in (0.0, 0.1, 0.3)]
     means = [study.primary.set_index("method")["mean"] for study in studies]
     assert means[0]["delta"] < means[1]["delta"] < means[2]["delta"]
@@ -178,7 +178,7 @@ def test_a_condition_that_cannot_be_stops_the_study_before_it_computes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = noise_study("backend=serial")
-    config.study.conditions["300um"] = {"noise_mm": -1.0}
+    config.study.conditions["um_300"] = {"noise_mm": -1.0}
 
     def refuse(config: DictConfig, console: Console) -> Toy:
         if config.dataset.noise_mm < 0:
@@ -194,7 +194,7 @@ def test_a_condition_that_cannot_be_stops_the_study_before_it_computes(
 def test_conditions_differ_in_their_dataset_alone() -> None:
     config = noise_study("dataset.first_seed=3")
     conditions = by_condition(config)
-    assert list(conditions) == ["clean", "100um", "300um"]
+    assert list(conditions) == ["clean", "um_100", "um_300"]
     for condition, amount in zip(conditions.values(), (0.0, 0.1, 0.3), strict=True):
         assert condition.dataset.noise_mm == amount
         assert condition.dataset.first_seed == 3
@@ -225,7 +225,7 @@ def _outside(config: DictConfig) -> None:
         (_nothing, r"study\.conditions: expected settings of the dataset by the names"),
         (_unknown, r"study\.conditions\.loud.*noise_m"),
         (_no_settings, r"study\.conditions\.loud: expected settings"),
-        (_outside, r"study\.conditions\.\.\./loud: expected a name for a folder"),
+        (_outside, r"study\.conditions\.\.\./loud: expected a name of letters"),
     ],
 )
 def test_conditions_that_cannot_be_are_refused(break_it: Callable[[DictConfig], None], words: str) -> None:
