@@ -29,6 +29,9 @@ from synth_data.personal.traits import Traits
 
 STEPS = 4  # of Heun's method along the pulls
 THICKEST, THINNEST = 3.5, -0.8  # mm by which tissue grows and shrinks
+CHEEK = ("zygomaticus", "risorius", "buccinator", "depressor_anguli")  # muscles to the corners of the mouth
+STRETCHED = 0.3  # share of their pull that cheeks stretched by a wide open jaw withstand
+TAUT_PUCKER, TAUT_PAIRS = 0.45, {"mouthSmile": 0.2, "mouthStretch": 0.2, "mouthFrown": 0.2, "mouthPress": 0.5}
 LINING = 16.0  # mm over which the lips and the lining of the mouth follow the skin about them
 SIDES = ("left", "right")
 MOUTH_UNITS = (
@@ -73,13 +76,23 @@ class PersonalFace:
         skin += self.mouth.lip_motion(w, (w["mouthPressLeft"], w["mouthPressRight"]), self.to_left)
         for side, lids in zip(("Left", "Right"), self.lids, strict=True):
             skin[lids.vertices] += lids(self.neutral, self._lid_action(w, side))
-        answer = float(self.traits.response(np.array(w["jawOpen"])))
-        excursion = Excursion(answer, w["jawForward"], w["jawLeft"], w["jawRight"], min(w["mouthClose"], 1.0))
-        return self.mouth.parted(self.jaw(skin, excursion))
+        excursion = Excursion(
+            self._opening(w), w["jawForward"], w["jawLeft"], w["jawRight"], min(w["mouthClose"] + self._taut(w), 1.0)
+        )
+        return self.mouth.parted(self.jaw(skin, excursion), max(w.values()))
+
+    def _opening(self, w: dict[str, float]) -> float:
+        return float(self.traits.response(np.array(w["jawOpen"])))
+
+    def _taut(self, w: dict[str, float]) -> float:
+        """How far lips that muscles draw tight stay together over an opening jaw."""
+        drawn = [share * (w[f"{unit}Left"] + w[f"{unit}Right"]) / 2 for unit, share in TAUT_PAIRS.items()]
+        return w["jawOpen"] * (TAUT_PUCKER * w["mouthPucker"] + sum(drawn))
 
     def _slid(self, w: dict[str, float]) -> FloatArray:
         """(n, 3) mm: muscles pull, skin keeps its height over the surface."""
-        contracted = [self._contraction(pull, w) for pull in self.pulls]
+        stretched = 1 - STRETCHED * self._opening(w)
+        contracted = [self._contraction(pull, w) * (stretched if pull.name in CHEEK else 1.0) for pull in self.pulls]
         active = [(pull, c) for pull, c in zip(self.pulls, contracted, strict=True) if c > 0]
         at = self.neutral.copy()
         units = self._ring(w)
@@ -98,9 +111,13 @@ class PersonalFace:
 
     def _velocity(self, at: FloatArray, active: list[tuple[Pull, float]], units: dict[str, float]) -> FloatArray:
         total = self.mouth.along(at, units)
+        together = strongest = np.linalg.norm(total, axis=1)
         for pull, contraction in active:
-            total += pull.velocity(at, contraction)
-        total *= self.off_lids[:, None]
+            velocity = pull.velocity(at, contraction)
+            speed = contraction * pull.length * pull.reach
+            together, strongest = together + speed, np.maximum(strongest, speed)
+            total += velocity
+        total *= (self.off_lids / (1 + (together - strongest) / self.traits.stiffening))[:, None]
         speed = np.linalg.norm(total, axis=1) / self.traits.stiffening
         return np.asarray(total / (1 + speed**4)[:, None] ** 0.25)
 
@@ -160,6 +177,7 @@ class PersonalFace:
             wide=w[f"eyeWide{side}"] * (1 - blink),
             up=w[f"eyeLookUp{side}"] * (1 - blink),
             down=down * (1 - blink),
+            aside=(w[f"eyeLookOut{side}"] - w[f"eyeLookIn{side}"]) * (1 if side == "Left" else -1) * (1 - blink),
         )
 
 
@@ -185,7 +203,7 @@ def personal_face(vertices: FloatArray, faces: IntArray, regions: Regions, trait
         near = inner[np.linalg.norm(vertices[inner] - part.centre, axis=1) < 1.5 * part.radius]
         on_lids[near] = 1.0
     off_lids = 1 - smoothstep(1.4 * on_lids)
-    mouth = mouth_of(vertices, regions, frame, jaw.share)
+    mouth = mouth_of(vertices, faces, regions, skin, frame, jaw.share)
     outer = np.setdiff1d(visible, regions.vertices["lips"])
     behind = np.setdiff1d(np.arange(n), outer)
     height, normals = sliding(vertices)

@@ -15,6 +15,8 @@ from synth_data.personal.shares import Skin, smoothstep
 
 SLIT = 0.25  # mm that stay open between shut lids, so that they touch without crossing
 WIDE, UP, DOWN = 0.16, 0.10, 0.10  # radians: lids of a stare, of the upper lid when looking up, of the lower when down
+GAZE = np.radians((35.0, 25.0, 30.0))  # turns of the eyeball: aside, up and down
+CORNEA, CORNEA_WIDE, DRAG = 0.8, 0.42, 0.12  # mm that it stands out, its extent in radians, share of a turn lids follow
 MERIDIANS = 41
 SHAPE = 0.8  # exponent of the shares: below 1 the lid moves as a plate and folds near the orbit
 
@@ -28,6 +30,7 @@ class LidAction:
     wide: float = 0.0
     up: float = 0.0
     down: float = 0.0
+    aside: float = 0.0  # of the gaze, in [-1, 1], towards the person's left
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,7 @@ class Lids:
     rims: tuple[IntArray, IntArray]  # rows of `vertices` on the upper and the lower rim, which meet
     contact: Contact
     crease: FloatArray  # (m,) mm by which lid skin stands off the sphere that its margin moves on
+    leftward: float  # 1 where the first axis points to the person's left, else -1
 
     def __call__(self, neutral: FloatArray, action: LidAction) -> FloatArray:
         """(m, 3) mm: displacement of `vertices` of the neutral (n, 3)."""
@@ -62,7 +66,25 @@ class Lids:
                 share = self.upper if rim is self.rims[0] else self.lower
                 angle += _fade(np.column_stack([at[:, 0], unfolded]), plane, push) * share / radius
         moved = np.column_stack([at[:, 0], unfolded * np.sin(angle), unfolded * np.cos(angle)])
+        if action.aside or action.up or action.down:
+            moved += self._looking(moved, action)
         return (moved - at) @ self.axes
+
+    def _looking(self, at: FloatArray, action: LidAction) -> FloatArray:
+        """(m, 3) mm along the axes: lids that ride on the cornea, which turns with the gaze and drags them along."""
+        aside = GAZE[0] * action.aside * self.leftward
+        up = GAZE[1] * action.up - GAZE[2] * action.down
+        distance = np.linalg.norm(at, axis=1, keepdims=True)
+        direction = at / distance
+        ahead, gaze = (
+            np.array([np.sin(x) * np.cos(y), np.sin(y), np.cos(x) * np.cos(y)]) for x, y in ((0.0, 0.0), (aside, up))
+        )
+        out = [np.exp(-0.5 * (np.arccos(np.clip(direction @ to, -1, 1)) / CORNEA_WIDE) ** 2) for to in (ahead, gaze)]
+        on_lid = np.minimum(self.upper + self.lower, 1.0)
+        dragged = DRAG * aside * distance[:, 0] * direction[:, 2] * smoothstep(self.opening / 0.3)
+        ride = (on_lid * CORNEA * (out[1] - out[0]))[:, None] * direction
+        ride[:, 0] += on_lid * dragged
+        return np.asarray(ride)
 
 
 def lids_of(vertices: FloatArray, faces: IntArray, regions: Regions, skin: Skin, frame: Frame, side: str) -> Lids:
@@ -120,6 +142,7 @@ def lids_of(vertices: FloatArray, faces: IntArray, regions: Regions, skin: Skin,
         rims=rims,
         contact=rest(sheets[0], sheets[1], SLIT),
         crease=np.maximum(distance[moved] - on_margin, 0.0),
+        leftward=float(np.sign(axes[0] @ frame.left)),
     )
 
 

@@ -5,22 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
 from retarget.types import FloatArray, IntArray, Regions
-from synth_data.personal.contact import Contact, rest
+from synth_data.lip_contact import compliance, least, missing_gaps, sides
 from synth_data.personal.frame import Frame
-from synth_data.personal.shares import smoothstep
+from synth_data.personal.shares import Skin, smoothstep
 
 DISC = 1.05, 0.85  # extent of the oral disc beside and above the mouth, in half widths of the mouth
 PLATEAU = 0.75  # share of that extent over which the disc is 1
 DEPTH = 22.0  # mm behind the lips to where the disc reaches into the mouth
 LIP = 5.0  # mm from where the lips meet over which rolling and pressing act
 CONTACT = 3.0  # mm from where the lips meet within which they touch when pressed
-TOUCH, GAP = 6.0, 0.2  # mm from there within which lips may come to touch, and that they stay apart
+MEETING, REACH = 5.0, 14.0  # mm from the lips within which they may touch, and beyond which contact moves nothing
+GAP, SMOOTH = 0.06, 4.0  # mm that stay between them, and over which what parts them fades
 CHEEK = 15.0  # mm, extent of a blown cheek
 
-PURSE_NARROWS, FUNNEL_NARROWS, ROLL_NARROWS = 0.48, 0.28, 0.06  # relative shortening of the mouth
+PURSE_NARROWS, FUNNEL_NARROWS, ROLL_NARROWS = 0.65, 0.34, 0.06  # relative shortening of the mouth
 PURSE_AHEAD, FUNNEL_AHEAD, PUFF = 8.0, 7.0, 11.0  # mm outward
 FUNNEL_UP, FUNNEL_DOWN = 3.6, 4.6  # mm that the lips part
 SHIFT = 8.5  # mm, mouthLeft and mouthRight
@@ -44,9 +46,9 @@ class Mouth:
     upper: FloatArray  # 1 on the upper lip, 0 on the lower one
     middle: FloatArray  # 1 at the midline, 0 at the corners
     cheeks: tuple[FloatArray, FloatArray]  # left and right
-    sheets: tuple[IntArray, IntArray]  # vertices of the upper and the lower lip that may touch
-    push: tuple[FloatArray, FloatArray]  # (n,) share of each vertex in the push on either lip
-    contact_rest: Contact
+    sheets: tuple[IntArray, IntArray]  # triangles of the upper and the lower lip that may touch
+    yielding: IntArray  # (k,) vertices that contact moves
+    compliance: FloatArray  # (k, k)
 
     def along(self, at: FloatArray, w: dict[str, float]) -> FloatArray:
         """(n, 3) mm: how the skin at (n, 3) slides for contractions w by face unit."""
@@ -59,7 +61,8 @@ class Mouth:
         lower = 1 - self.upper
         rise = w["mouthFunnel"] * self.middle * self.lips * (FUNNEL_UP * self.upper - FUNNEL_DOWN * lower)
         rise += SHRUG_UP * w["mouthShrugUpper"] * self.disc * self.upper
-        rise += 0.5 * SHRUG_UP * w["mouthShrugLower"] * self.disc * self.upper  # the lower lip lifts the upper one
+        # the lower lip lifts the upper one, and follows it as long as it is pushed up
+        rise += SHRUG_UP * w["mouthShrugLower"] * self.disc * (0.5 + w["mouthShrugUpper"] * lower)
         out[:, 1] = rise
         return self.frame.world(out)
 
@@ -86,30 +89,25 @@ class Mouth:
         out[:, 2] = -self.inner * (ROLL_IN * (roll + self.contact * (0.5 * (upper + lower) - roll)) + pressed) * wide
         return self.frame.world(out)
 
-    def parted(self, skin: FloatArray) -> FloatArray:
-        """(n, 3) mm with lips that cross no more than at rest."""
-        heights = _sheets(self.frame, skin, self.sheets)
-        pushes = self.contact_rest(*heights)
-        if not (pushes[0].any() or pushes[1].any()):
+    def parted(self, skin: FloatArray, contracted: float) -> FloatArray:
+        """(n, 3) mm with lips that do not pass each other; the gap opens as anything is contracted, in [0, 1]."""
+        at = self.frame.local(skin - self.centre)
+        rows, missing = missing_gaps(at, *self.sheets, GAP * float(smoothstep(np.array(contracted / 0.2))))
+        if not (missing > 0).any():
             return skin
         out = skin.copy()
-        for sheet, share, push in zip(self.sheets, self.push, pushes, strict=True):
-            near = np.flatnonzero(share > 1e-3)
-            distance, index = cKDTree(skin[sheet]).query(skin[near], 3)
-            weight = 1 / (distance + 0.05) ** 2
-            moved = share[near] * np.sum(weight * push[index], axis=1) / weight.sum(axis=1)
-            out[near] += moved[:, None] * self.frame.up
+        push = least(self.compliance, sp.csr_array(rows[:, self.yielding]), missing)
+        out[self.yielding] += push[:, None] * self.frame.up
         return out
 
 
-def _sheets(frame: Frame, skin: FloatArray, sheets: tuple[IntArray, IntArray]) -> list[tuple[FloatArray, FloatArray]]:
-    """The plane (m, 2) and the height (m,) of either lip, in mm."""
-    local = [frame.local(skin[sheet]) for sheet in sheets]
-    return [(at[:, [0, 2]], at[:, 1]) for at in local]
+def mouth_of(
+    vertices: FloatArray, faces: IntArray, regions: Regions, skin: Skin, frame: Frame, side_of_mouth: FloatArray
+) -> Mouth:
+    """The mouth of a neutral (n, 3) mm with faces (f, 3).
 
-
-def mouth_of(vertices: FloatArray, regions: Regions, frame: Frame, side_of_mouth: FloatArray) -> Mouth:
-    """The mouth of a neutral (n, 3) mm; side_of_mouth (n,) is 0 on the upper lip and 1 on the lower one."""
+    side_of_mouth (n,) is 0 on the upper lip and 1 on the lower one.
+    """
     corners = [frame.marks[f"cheilion_{side}"] for side in ("left", "right")]
     centre = 0.5 * (corners[0] + corners[1])
     half = 0.5 * float(np.linalg.norm(corners[0] - corners[1]))
@@ -124,13 +122,10 @@ def mouth_of(vertices: FloatArray, regions: Regions, frame: Frame, side_of_mouth
         return np.asarray(np.exp(-0.5 * (distance / width) ** 2))
 
     upper = 1 - smoothstep(side_of_mouth)
-    to_inner = cKDTree(vertices[regions.loops["lip_inner"]]).query(vertices)[0]
-    apart = 1 - smoothstep(np.abs(local[:, 0]) / half * 4 - 3)  # corners belong to both lips
-    touching = (to_inner < TOUCH) & (apart > 0.01)
-    sheets = np.flatnonzero(touching & (upper > 0.6)), np.flatnonzero(touching & (upper < 0.4))
-    heights = _sheets(frame, vertices, sheets)
-    fade = np.exp(-0.5 * (np.maximum(to_inner - 0.5 * TOUCH, 0) / 3.0) ** 2)
     to_lips = cKDTree(vertices[regions.vertices["lips"]]).query(vertices)[0]
+    yielding = np.flatnonzero(to_lips < REACH)
+    meeting = faces[to_lips[faces].max(axis=1) < MEETING]
+    below = sides(skin.stiffness, regions)[meeting].mean(axis=1) > 0.5
     cheeks = []
     for side in ("left", "right"):
         middle = frame.place({"cheilion": 0.5, "supra_m2": 0.35, "inferior_malar": 0.15}, side)
@@ -148,7 +143,7 @@ def mouth_of(vertices: FloatArray, regions: Regions, frame: Frame, side_of_mouth
         upper=upper,
         middle=1 - smoothstep(np.abs(local[:, 0]) / half),
         cheeks=(cheeks[0], cheeks[1]),
-        sheets=sheets,
-        push=(fade * smoothstep(2 * upper - 0.5), fade * smoothstep(1.5 - 2 * upper)),
-        contact_rest=rest(heights[0], heights[1], GAP),
+        sheets=(meeting[~below], meeting[below]),
+        yielding=yielding,
+        compliance=compliance(skin.stiffness, skin.mass, yielding, SMOOTH),
     )

@@ -6,11 +6,13 @@ import itertools
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from retarget.anatomy.closed import self_intersections
 from retarget.check import InvalidInput
 from retarget.types import FloatArray, Regions
 from synth_data.arkit import MIRRORED, SKIN_NAMES
+from synth_data.lip_contact import least, missing_gaps
 from synth_data.makehuman.anthropometry import personalisation
 from synth_data.makehuman.head import BaseHead
 from synth_data.makehuman.identities import IdentitySampler
@@ -82,6 +84,7 @@ def test_magnitudes_are_those_of_people(base: Base, people: list[PersonalFace]) 
         assert 18 < found["smile: mouth wider (%)"] < 46
         assert 35 < found["smile: corner's direction (degrees)"] < 60
         assert 3 < found["jaw to the left (mm)"] < 14
+        assert 20 < found["pucker: mouth narrower (%)"] < 45
         assert 4 < found["protrusion (mm)"] < 12
 
 
@@ -141,6 +144,23 @@ def test_lids_shut_on_the_eyeball(base: Base, people: list[PersonalFace]) -> Non
             assert closed < 0.5 * rest_  # the rims touch behind the margins
             away = [np.linalg.norm(v[margins[0]] - lids.centre, axis=1) for v in (face.neutral, shut)]
             np.testing.assert_allclose(*away, atol=1e-6)  # the margin slides on its sphere
+
+
+def test_lids_ride_on_the_cornea_that_looks_aside(people: list[PersonalFace]) -> None:
+    face = people[0]
+    moved = face(unit_weights({"eyeLookOutLeft": 1.0, "eyeLookInRight": 1.0}))[0] - face.neutral
+    assert 0.3 < np.linalg.norm(moved, axis=1).max() < 2.5  # mm
+    for lids in face.lids:
+        middle = lids.vertices[(lids.upper > 0.9) & (lids.opening > 0.3)]
+        assert (moved[middle] @ face.frame.left).mean() > 0  # towards the person's left, both
+
+
+def test_lips_stay_shut_while_the_chin_is_raised(base: Base, people: list[PersonalFace]) -> None:
+    marks = [base[2].landmarks[f"stomion_{lip}"] for lip in ("upper", "lower")]
+    for face in people:
+        raised = face(unit_weights(SCANS["chin_raised"]))[0]
+        apart = [np.linalg.norm(v[marks[0]] - v[marks[1]]) for v in (face.neutral, raised)]
+        assert apart[1] < apart[0] + 1.0  # mm
 
 
 def test_folds_deepen_with_age(base: Base, sampler: IdentitySampler) -> None:
@@ -205,6 +225,21 @@ def test_sphere_through_points_of_a_sphere() -> None:
     centre, radius = fit_sphere(points)
     np.testing.assert_allclose(centre, (3, -2, 7), atol=1e-9)
     assert radius == pytest.approx(15.5)
+
+
+def test_gaps_between_two_triangles_by_hand_and_their_least_parting() -> None:
+    at = np.array([[0, 0, 0], [4, 0, 0], [0, 0, 4], [1, 0.3, 1], [5, 0.3, 1], [1, 0.3, 5]], dtype=np.float64)
+    rows, missing = missing_gaps(at, np.array([[0, 1, 2]]), np.array([[3, 4, 5]]), gap=0.1)
+    np.testing.assert_allclose(missing, 0.4)  # the upper one lies 0.3 mm below the lower one
+    np.testing.assert_allclose(rows @ np.ones(6), 0, atol=1e-12)  # nothing changes where both rise
+    u = least(np.eye(6), rows, missing)
+    assert (rows @ u > 0.399).all()
+    assert (u[:3] >= 0).all()
+    assert (u[3:] <= 0).all()
+    many = least(np.eye(6), sp.csr_array(sp.vstack([rows] * 9)), np.tile(missing, 9))  # more contacts than vertices
+    np.testing.assert_allclose(many, u, atol=1e-3)
+    aside = at + np.repeat([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0]], 3, axis=0)
+    assert len(missing_gaps(aside, np.array([[0, 1, 2]]), np.array([[3, 4, 5]]), gap=0.1)[1]) == 0
 
 
 def test_contact_parts_two_sheets_that_overlap_and_leaves_others() -> None:
