@@ -37,8 +37,8 @@ class EbfrArkit(Truth):
     favours: ClassVar[str] = (
         "The ground truth follows the paper: personal ARKit rigs made by example-based rigging of synthetic scans, and "
         "blended linearly. LBS becomes exact as the examples span the 51 units. What the scans leave open the rigging "
-        "takes from deformation transfer, so this truth favours deformation transfer, example-based rigging and the "
-        "residual controls. It shows nothing about contact, skin sliding or other non-linear motion."
+        "takes from deformation transfer, so this truth is nearer than others to deformation transfer, example-based "
+        "rigging and the residual controls. It shows nothing about contact, skin sliding or other non-linear motion."
     )
 
     def prepare(self, generic: GenericRig, cache: ArrayCache, progress: Progress) -> Casting:
