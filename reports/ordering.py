@@ -18,6 +18,7 @@ from reports.text import bounds, number
 from retarget.types import FloatArray
 
 FEWEST = 3  # methods from which two orders are compared
+SANITY = ("additive",)  # kinds of truth on which a method is exact by construction: no statement is made of them
 
 
 @dataclass(frozen=True)
@@ -33,8 +34,15 @@ class Ordering:
         short = all(part.startswith("dataset.") for each in parts for part in each)
         return tuple(
             ", ".join(part.removeprefix("dataset.").replace("=", " ") if short else part for part in each)
-            for each in parts
+            + (" (sanity)" if study.facts["dataset"]["truth"] in SANITY else "")
+            for study, each in zip(self.studies, parts, strict=True)
         )
+
+    @cached_property
+    def stated(self) -> tuple[int, ...]:
+        """The conditions that statements are about: all but those of sanity, unless there are no others."""
+        kept = [i for i, study in enumerate(self.studies) if study.facts["dataset"]["truth"] not in SANITY]
+        return tuple(kept or range(len(self.studies)))
 
     @cached_property
     def counts(self) -> tuple[int, ...]:
@@ -104,10 +112,10 @@ def findings(ordering: Ordering) -> Iterator[str]:
     """A sentence or two for each number of examples: which row is first where, and how far the orders agree."""
     for count in ordering.counts:
         first: dict[str, list[str]] = {}
-        for i, condition in enumerate(ordering.conditions):
+        for i in ordering.stated:
             ranked = {m.label: ordering.ranks(m.name, count)[i] for m in ordering.methods if m.kind != "reference"}
             best = [label for label, rank in ranked.items() if rank == 1]
-            first.setdefault(" and ".join(best) or "no method", []).append(condition)
+            first.setdefault(" and ".join(best) or "no method", []).append(ordering.conditions[i])
         said = f"{count} examples: the smallest mean is that of "
         if len(first) == 1:
             said += f"{next(iter(first))} under every condition."
@@ -117,7 +125,7 @@ def findings(ordering: Ordering) -> Iterator[str]:
 
 
 def _agreement(ordering: Ordering, count: int) -> str:
-    taus = {(i, j): ordering.tau(i, j, count) for i, j in itertools.combinations(range(len(ordering.conditions)), 2)}
+    taus = {(i, j): ordering.tau(i, j, count) for i, j in itertools.combinations(ordering.stated, 2)}
     known = {pair: tau for pair, tau in taus.items() if np.isfinite(tau)}
     if not known:
         return f"Orders of fewer than {FEWEST} methods are not compared."

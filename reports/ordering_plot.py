@@ -13,6 +13,7 @@ from reports.ordering import Ordering
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")  # of conditions, whose colours differ too
 ROW, LEGEND_LINE = 0.23, 0.17  # inches
+EXACT = 1e-6  # of the largest mean: rounding
 LEGEND_LETTERS = 115  # on one line
 
 
@@ -30,6 +31,8 @@ def ordering_plot(ordering: Ordering, path: Path) -> None:
         panels = figure.subplots(1, len(counts), sharey=True, squeeze=False)[0]
         figure.subplots_adjust(left=0.2, right=0.99, bottom=(0.4 + legend) / height, top=1 - 0.2 / height, wspace=0.1)
         spread = 0.62 * (np.arange(len(names)) - (len(names) - 1) / 2) / max(len(names), 2)
+        largest = np.nanmax([ordering.values(m.name, n) for m in methods for n in counts] or [1.0], initial=0.0)
+        exact = EXACT * float(largest)
         shown: list[float] = []
         for axes, count in zip(panels, counts, strict=True):
             for i, method in enumerate(methods):
@@ -37,19 +40,24 @@ def ordering_plot(ordering: Ordering, path: Path) -> None:
                     axes.axhspan(i - 0.5, i + 0.5, color="#f4f4f4", lw=0, zorder=0)
                 mean = ordering.values(method.name, count)
                 low, high = (ordering.values(method.name, count, column) for column in ("ci_low", "ci_high"))
-                if not (mean > 0).any():
+                if np.isnan(mean).all():
                     axes.text(
-                        0.5, i, "no result" if np.isnan(mean).all() else "0", ha="center", va="center", fontsize=6,
-                        color="#a3216f", transform=axes.get_yaxis_transform(),
+                        0.5, i, "no result", ha="center", va="center", fontsize=6, color="#a3216f",
+                        transform=axes.get_yaxis_transform(),
                     )  # fmt: skip
-                for j in np.flatnonzero(mean > 0):
+                for j in np.flatnonzero(mean <= exact):
+                    axes.text(
+                        0.02, i + spread[j], "exact", ha="left", va="center", fontsize=5.5, color=method_color(int(j)),
+                        transform=axes.get_yaxis_transform(),
+                    )  # fmt: skip
+                for j in np.flatnonzero(mean > exact):
                     color = method_color(int(j))
                     axes.plot([low[j], high[j]], [i + spread[j]] * 2, lw=1.0, color=color, alpha=0.8)
                     axes.plot(
                         mean[j], i + spread[j], MARKERS[j % len(MARKERS)], ms=3.6, color=color, mec="white", mew=0.4
                     )
                 if method.kind != "reference":
-                    shown += [*mean[mean > 0].tolist(), *low[low > 0].tolist(), *high[high > 0].tolist()]
+                    shown += [*mean[mean > exact].tolist(), *low[low > mean / 3].tolist(), *high[high > exact].tolist()]
             axes.set_title(f"{count} examples", fontsize=7.5, pad=3)
             axes.grid(axis="x", color="#e0e0e0", lw=0.5)
             axes.set_axisbelow(True)
@@ -65,5 +73,5 @@ def ordering_plot(ordering: Ordering, path: Path) -> None:
             )
             for j, name in enumerate(names)
         ]
-        figure.legend(handles=handles, loc="lower center", ncols=columns, frameon=False, bbox_to_anchor=(0.595, 0.0),
+        figure.legend(handles=handles, loc="lower center", ncols=columns, frameon=False, bbox_to_anchor=(0.5, 0.0),
                       borderpad=0.3, borderaxespad=0, columnspacing=1.8)  # fmt: skip

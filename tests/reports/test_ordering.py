@@ -68,6 +68,20 @@ def test_a_method_without_a_result_has_no_rank_and_enters_no_agreement(study: St
     assert next(row for row in rows if row["label"] == "delta")["cells"][1]["mean"] == "no result"
 
 
+def test_no_statement_is_made_of_a_truth_that_a_method_owns(study: StudyResults, tmp_path: Path) -> None:
+    means = dict(zip(METHODS, (1.0, 2.0, 3.0, 4.0, 5.0), strict=True))
+    owned = under(study, "additive", means | {"delta": 6.0, "plbs": 1e-15})
+    owned = replace(owned, facts={**owned.facts, "dataset": {**owned.facts["dataset"], "truth": "additive"}})
+    ordering = Ordering([owned, under(study, "one", means), under(study, "two", means)])
+    assert ordering.conditions == ("truth additive (sanity)", "truth one", "truth two")
+    assert overview(ordering)["findings"] == [
+        "5 examples: the smallest mean is that of delta under every condition. "
+        "The order of methods is the same under all conditions."
+    ]
+    ordering_plot(ordering, tmp_path / "plot.svg")
+    assert "<!-- exact -->" in (tmp_path / "plot.svg").read_text()  # rounding takes no decades of the axis
+
+
 def test_two_methods_have_no_agreement(study: StudyResults) -> None:
     two = [under(study, name, {"plbs": 1.0, "lbs": 2.0}) for name in ("one", "two")]
     ordering = Ordering(two)
