@@ -108,6 +108,8 @@ def report(config: DictConfig) -> None:
         return
     inputs = [Path(folder).absolute() for folder in config.inputs or finished_folders(config)]
     output = Path(config.output).absolute() if config.output else None
+    if output is None and not config.inputs:
+        output = results_folder(config) / "report.pdf"
     print_path(build_report(inputs, output, console.print), console)
 
 
