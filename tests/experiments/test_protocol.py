@@ -22,3 +22,7 @@ def test_more_examples_than_expressions_are_refused_with_both_numbers() -> None:
     check_counts(35, 5, [5, 30])
     with pytest.raises(InvalidInput, match=r"30 examples asked for, but the dataset has 34 .* at most 29"):
         check_counts(34, 5, [5, 30])
+    with pytest.raises(InvalidInput, match=r"'study\.n_examples=\[5,15\]'"):
+        check_counts(20, 5, [5, 15, 30])
+    with pytest.raises(InvalidInput, match="Hold out fewer"):
+        check_counts(5, 5, [5])
