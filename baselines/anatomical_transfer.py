@@ -39,6 +39,8 @@ class _Fitted:
     def __call__(self, source_frames: FloatArray, edits: Mapping[str, Any] | None = None) -> RetargetResult:
         check_no_edits("anatomical deformation transfer", edits)
         frames = check_frames("source_frames", source_frames, len(self.adt.pair.source_neutral))
-        carried = list(map(self.adt.started(), frames))
-        skins = np.array([state.skin for state in carried]).reshape(frames.shape)
-        return RetargetResult(skins, tuple(state.info for state in carried))
+        skins, infos = np.empty(frames.shape), []
+        for i, carried in enumerate(map(self.adt.started(), frames)):
+            skins[i] = carried.skin  # the rest of a state, its tets, takes megabytes
+            infos.append(carried.info)
+        return RetargetResult(skins, tuple(infos))

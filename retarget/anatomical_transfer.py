@@ -162,13 +162,14 @@ class AnatomicalTransfer:
         Raises InvalidInput where a simulation fails: a head at rest would pass for an answer.
         """
         frames = check_frames("source_frames", frames, len(self.pair.source_neutral))
-        states = list(map(self.started(), frames))
-        for number, state in enumerate(states):
+        skins = np.empty(frames.shape)
+        for number, state in enumerate(map(self.started(), frames)):
             if state.info.status is Status.FAILED:
                 raise InvalidInput(
                     f"adt of expression {number}: expected a simulation that ends, {state.info.message}."
                 )
-        return np.array([state.skin for state in states]).reshape(frames.shape)
+            skins[number] = state.skin
+        return skins
 
 
 def former(inverse: InverseSimulation, streaming: bool) -> Former:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from experiments.metrics.metric import Comparison, Measurement, Metric, lacking
-from retarget.types import FloatArray, IntArray, Regions
+from retarget.types import FloatArray, Regions
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class MouthOpening(Metric):
         opening, contour = loops[self.opening], loops[self.contour]
         outer = vector_area(neutral[contour])
         size = np.linalg.norm(outer)
-        normal = sense(neutral, opening, contour) * outer / size
+        normal = outer / size  # its sign does not matter: the two loops may run in opposite senses
         found, wanted = (vector_area(frames[:, opening]) for frames in (comparison.retargeted, comparison.truth))
         wrong = np.abs((found - wanted) @ normal)
         yield Measurement("mouth_opening", "mouth", "1", "lower", wrong / size)
@@ -42,11 +42,3 @@ def vector_area(loop: FloatArray) -> FloatArray:
     """(..., 3) mm^2 of closed loops (..., m, 3) mm: half the sum of p_i x p_i+1, whatever spans the loop."""
     area: FloatArray = np.cross(loop, np.roll(loop, -1, axis=-2)).sum(axis=-2) / 2
     return area
-
-
-def sense(vertices: FloatArray, loop: IntArray, other: IntArray) -> float:
-    """1 if two loops about each other run the same way round, -1 if not; by the nearest vertices of the other one."""
-    apart = np.linalg.norm(vertices[loop][:, None] - vertices[other][None], axis=2)
-    nearest, half = np.argmin(apart, axis=1), len(other) / 2
-    steps = (np.diff(nearest, append=nearest[:1]) + half) % len(other) - half
-    return -1.0 if steps.sum() < 0 else 1.0

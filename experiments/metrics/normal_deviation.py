@@ -38,10 +38,9 @@ class NormalDeviation(Metric):
 
 def _tilt(found: FloatArray, true: FloatArray, faces: IntArray) -> float:
     a, b = (np.cross(*edges(vertices, faces)) for vertices in (found, true))
-    area, size = _length(b), _length(a)
-    a, b = a / np.maximum(size, TINY)[:, None], b / np.maximum(area, TINY)[:, None]
+    area = _length(b)
+    a, b = a / np.maximum(_length(a), TINY)[:, None], b / np.maximum(area, TINY)[:, None]
     angle = 2 * np.arctan2(_length(a - b), _length(a + b))  # exact near 0 (Kahan 2006, section 12)
-    angle[size < TINY] = np.pi / 2
     return float(np.degrees(angle @ area / max(area.sum(), TINY)))
 
 
