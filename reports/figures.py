@@ -72,7 +72,7 @@ def box_plot(study: StudyResults, path: Path) -> None:
                 if len(here) == 0:
                     axes.text(at, 0, "no result", rotation=90, ha="center", va="bottom", fontsize=6, color="#a3216f")
                     continue
-                _box(axes, at, step * 0.72, here, _color(study, m), _turn(study, m))
+                _box(axes, at, step * 0.72, here, row_color(study, m), _turn(study, m))
         for edge in range(1, len(counts)):
             axes.axvline(edge - 0.5, color="#dddddd", lw=0.6, zorder=0)
         axes.set_xlim(-0.5, len(counts) - 0.5)
@@ -100,7 +100,7 @@ def example_effect(study: StudyResults, path: Path) -> None:
             if not (np.isfinite(mean) & (mean > 0)).any():
                 continue
             at = np.arange(len(counts)) + (i - (len(methods) - 1) / 2) * spread
-            color = _color(study, m)
+            color = row_color(study, m)
             style = "--" if m.kind == "reference" else "-"
             axes.plot(at, mean, style, marker=MARKERS[_turn(study, m)], ms=3, lw=1.0, color=color)
             axes.vlines(at, low, high, color=color, lw=1.0)
@@ -144,9 +144,9 @@ def ratio_plot(study: StudyResults, tests: pd.DataFrame, path: Path) -> None:
                     continue
                 r = rows.loc[m.name]
                 ratios = mine / other
-                axes.plot(ratios, i + _spread(len(ratios)), ".", ms=4.5, color=_color(study, m), alpha=0.45, mew=0)
-                axes.plot([r["ratio_low"], r["ratio_high"]], [i, i], lw=1.6, color=_color(study, m))
-                axes.plot(r["ratio"], i, "D", ms=3.6, color=_color(study, m), mec="white", mew=0.5)
+                axes.plot(ratios, i + _spread(len(ratios)), ".", ms=4.5, color=row_color(study, m), alpha=0.45, mew=0)
+                axes.plot([r["ratio_low"], r["ratio_high"]], [i, i], lw=1.6, color=row_color(study, m))
+                axes.plot(r["ratio"], i, "D", ms=3.6, color=row_color(study, m), mec="white", mew=0.5)
                 everything += [*ratios.tolist(), float(r["ratio_low"]), float(r["ratio_high"])]
             axes.axvline(1, color="#555555", lw=0.7, zorder=0)
             axes.set_title(f"{count} examples", fontsize=7.5, pad=3)
@@ -194,7 +194,8 @@ def _drawn(study: StudyResults) -> list[MethodFacts]:
     return [m for m in study.methods if m.name != "neutral"]
 
 
-def _color(study: StudyResults, method: MethodFacts) -> str:
+def row_color(study: StudyResults, method: MethodFacts) -> str:
+    """The colour of a row in every figure."""
     if method.kind == "reference":
         return REFERENCE_ROW
     return method_color([m.name for m in study.methods if m.kind != "reference"].index(method.name))
@@ -232,9 +233,9 @@ def _legend(figure: Figure, study: StudyResults, methods: list[MethodFacts]) -> 
     by_column = [m for column in range(columns) for m in methods[column::columns]]  # matplotlib fills columns first
     handles = [
         Patch(
-            facecolor=_color(study, m),
+            facecolor=row_color(study, m),
             alpha=0.6,
-            edgecolor=_color(study, m),
+            edgecolor=row_color(study, m),
             label=m.label,
             hatch=HATCHES[_turn(study, m)],
         )

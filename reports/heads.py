@@ -17,6 +17,7 @@ from reports.text import number
 from retarget.types import FloatArray
 
 SIZE = (290, 370)  # pixels of one head: 270 per inch at 34.5 mm
+TURN, RAISE = 24.0, 3.0  # degrees from which a head is seen
 _COLUMNS = 9  # methods side by side on one page
 _PARTS = {  # named parts of a result, in the order of Figs 12 and 13: label, what a displacement is added to
     "source_reconstruction": ("source rebuilt", None),
@@ -228,13 +229,18 @@ def _lively(frames: Frames, count: int) -> list[int]:
 
 
 def _camera(frames: Frames, size: tuple[int, int]) -> Camera:
-    """A view that holds both heads down to the lowest vertex that moves: the same for all pictures of a row."""
+    """A view that holds what is `framed`: the same for all pictures of a row."""
+    return look(framed(frames), size, turn=TURN, raise_=RAISE, margin=0.03)
+
+
+def framed(frames: Frames) -> FloatArray:
+    """(m, 3) mm: points of both heads, in all frames, down to the lowest vertex that moves."""
     heads = [frames.source_neutral, frames.target_neutral, *frames.source, *frames.truth]
     motion = np.linalg.norm(frames.truth - frames.target_neutral, axis=2).max(axis=0)
     moving = np.flatnonzero(motion > _STILL * float(motion.max()))
     points = np.concatenate(heads).astype(np.float64)
     floor = min(float(h[moving, 1].min()) for h in heads) if len(moving) else float(points[:, 1].min())
-    return look(points[points[:, 1] >= floor - 4.0], size, turn=24.0, raise_=3.0, margin=0.03)
+    return points[points[:, 1] >= floor - 4.0]
 
 
 def nice(value: float) -> float:
