@@ -31,8 +31,8 @@ def ordering_plot(ordering: Ordering, path: Path) -> None:
         panels = figure.subplots(1, len(counts), sharey=True, squeeze=False)[0]
         figure.subplots_adjust(left=0.2, right=0.99, bottom=(0.4 + legend) / height, top=1 - 0.2 / height, wspace=0.1)
         spread = 0.62 * (np.arange(len(names)) - (len(names) - 1) / 2) / max(len(names), 2)
-        largest = np.nanmax([ordering.values(m.name, n) for m in methods for n in counts] or [1.0], initial=0.0)
-        exact = EXACT * float(largest)
+        means = np.array([ordering.values(method.name, count) for method in methods for count in counts])
+        exact = EXACT * float(np.max(means, where=np.isfinite(means), initial=0.0))
         shown: list[float] = []
         for axes, count in zip(panels, counts, strict=True):
             for i, method in enumerate(methods):
