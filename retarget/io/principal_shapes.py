@@ -17,10 +17,11 @@ def principal_shapes(
     """
     moved = (frames - neutral).reshape(len(frames), -1)
     values, vectors = np.linalg.eigh(moved @ moved.T)  # (t, t): far smaller than what it comes from
-    order = np.argsort(-values, kind="stable")
-    vectors = vectors[:, order[: int((values > 1e-12 * max(values.max(), 1e-12)).sum())]]
-    shapes = vectors.T @ moved  # (r, 3 n)
-    count = next((r for r in range(vectors.shape[1]) if _worst(moved, vectors, shapes, r) <= tolerance), len(shapes))
+    vectors = vectors[:, ::-1][:, : int((values > 1e-12 * max(values.max(), 1e-12)).sum())]
+    shapes, missed, count = vectors.T @ moved, moved.copy(), 0  # shapes: (r, 3 n)
+    while count < len(shapes) and _longest(missed) > tolerance:
+        missed -= np.outer(vectors[:, count], shapes[count])
+        count += 1
     weights, shapes = vectors[:, :count], shapes[:count]
     largest = np.abs(weights).max(axis=0, initial=0.0)
     largest[largest == 0] = 1.0
@@ -28,6 +29,7 @@ def principal_shapes(
     return MorphMesh(name, neutral, targets, tuple(f"shape_{i:02d}" for i in range(count)), times, weights / largest)
 
 
-def _worst(moved: FloatArray, vectors: FloatArray, shapes: FloatArray, count: int) -> float:
-    missed = (moved - vectors[:, :count] @ shapes[:count]).reshape(len(moved), -1, 3)
-    return float(np.sqrt((missed**2).sum(axis=-1).max()))
+def _longest(vectors: FloatArray) -> float:
+    """Of vectors (t, 3 n)."""
+    each = vectors.reshape(len(vectors), -1, 3)
+    return float(np.sqrt(np.einsum("tni,tni->tn", each, each).max()))
