@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -15,7 +15,9 @@ from retarget.types import Examples, FloatArray, Pair, Retargeter, RetargetProbl
 
 @dataclass(frozen=True, kw_only=True)
 class AnatomicalDeformationTransfer(AnatomySettings, Retargeter):
-    """T_i = adt(S_i, S, T); needs no examples. The settings are those of `AnatomySettings`."""
+    """T_i = adt(S_i, S, T). The settings are those of `AnatomySettings`."""
+
+    needs_examples: ClassVar[bool] = False
 
     def unsupported(self, problem: RetargetProblem) -> str | None:
         return without_template(problem, self.template)

@@ -14,6 +14,7 @@ from retarget.types import Examples, FloatArray, Pair, Retargeter, RetargetResul
 class DeltaTransfer(Retargeter):
     """T_i = T + (S_i - S), in mm: no examples, no parameters, no adaptation to the size or shape of the target."""
 
+    needs_examples: ClassVar[bool] = False
     exact_on_self: ClassVar[bool] = True
 
     def prepare(self, pair: Pair) -> _Prepared:

@@ -18,6 +18,7 @@ class LandmarkDeformationTransfer(LandmarkWeights, Retargeter):
     Exact on itself with the regularity `correction` alone.
     """
 
+    needs_examples: ClassVar[bool] = False
     exact_on_self: ClassVar[bool] = True
 
     def unsupported(self, problem: RetargetProblem) -> str | None:

@@ -21,6 +21,7 @@ class SurfaceDeformationTransfer(Retargeter):
     al. 2006, the method `gradient_transfer`). Raises InvalidInput for another one.
     """
 
+    needs_examples: ClassVar[bool] = False
     exact_on_self: ClassVar[bool] = True
 
     weighting: Weighting | str

@@ -97,13 +97,17 @@ def evaluate_pair(task: PairTask) -> int:
     found = correspondences(pair, asked, task.study.embedding, task.study.rigging)
     for row, cells in _by_row(task.cells):
         prepared, prepare_seconds, failure = _prepare(row, pair, clean)
+        known: dict[tuple[str, int], _Answer] = {}  # of a method that needs no examples
         for cell in cells:
             case = _case(task.study, cell, pair, source, target, noise)
             answer: _Answer | None = None
             status, reason = "failed", failure
             if failure is None:
                 try:
-                    answer = _answer(row, prepared, case, found[cell.correspondence])
+                    at = cell.correspondence, cell.draw
+                    answer = known.get(at) or _answer(row, prepared, case, found[cell.correspondence])
+                    if row.method is not None and not row.method.needs_examples:
+                        known[at] = answer
                     status, reason = _verdict(answer.result)
                 except _Refused as refusal:
                     status, reason = "unsupported", str(refusal)

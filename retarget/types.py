@@ -149,6 +149,7 @@ class Retargeter(ABC):
     """
 
     control: ClassVar[bool] = False  # a row that isolates the effect of one part, proposed by nobody as a method
+    needs_examples: ClassVar[bool] = True  # False: whatever examples and animation it is given, the frames are the same
     exact_on_self: ClassVar[bool] = False  # claims that source == target, examples included, gives the source's frames
 
     def unsupported(self, problem: RetargetProblem) -> str | None:

@@ -152,6 +152,17 @@ def test_batches_do_not_change_the_result(method, problem, frames):
     assert fitted(frames[:0]).frames.shape == (0, *frames.shape[1:])
 
 
+def test_examples_matter_where_they_are_needed_and_nowhere_else(method, problem, frames):
+    fewer = replace(
+        problem,
+        target_examples=problem.target_examples[:1],
+        source_examples=problem.source_examples[:1],
+        source_animation=problem.source_animation[:5],
+    )
+    same = np.array_equal(method.retarget(problem, frames).frames, method.retarget(fewer, frames).frames)
+    assert same != method.needs_examples
+
+
 def test_fits_do_not_influence_each_other(method, problem, frames):
     prepared = method.prepare(problem.pair)
     fitted = prepared.fit(problem.examples, problem.source_animation)
