@@ -1,10 +1,13 @@
-"""A page or two of pictures and tables about one study, typeset; the same content gives the same bytes."""
+"""A page or two of pictures and tables about one study, typeset; the same content gives the same bytes.
+
+Beside a PDF ``NAME.pdf`` stands a folder ``NAME.sheet`` with what is on it, from which a report takes it over.
+"""
 
 from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -15,9 +18,12 @@ import typst
 from matplotlib.colors import to_hex
 
 from reports.colors import ERROR_COLORMAP
-from retarget.io.files import write_whole
+from retarget.check import InvalidInput
+from retarget.io.files import write_whole, write_whole_folder
 
-_TEMPLATE = Path(__file__).with_name("sheet.typ")
+TEMPLATES = tuple(Path(__file__).with_name(name) for name in ("sheet.typ", "blocks.typ"))
+SCHEMA = 1
+CONTENT = "content.json"
 
 
 @dataclass(frozen=True)
@@ -59,17 +65,22 @@ class Table:
 def write_sheet(
     path: Path, title: str, description: str, blocks: Sequence[Pictures | Table], work: Path, ppi: float = 110.0
 ) -> None:
-    """Write a PDF, or a PNG of the first page, whole or not at all; `work` is the folder with the pictures."""
+    """Write a PDF with its content beside it, or a PNG of the first page; `work` is the folder with the pictures.
+
+    Every file is written whole or not at all.
+    """
     content: dict[str, Any] = {
+        "schema": SCHEMA,
         "title": title,
         "description": " ".join(description.split()),
         "blocks": [asdict(block) for block in blocks],
         "colors": [to_hex(ERROR_COLORMAP(x)) for x in np.linspace(0, 1, 11)],
     }
-    (work / "content.json").write_text(json.dumps(content), encoding="utf-8")
-    shutil.copy(_TEMPLATE, work / _TEMPLATE.name)
+    (work / CONTENT).write_text(json.dumps(content), encoding="utf-8")
+    for template in TEMPLATES:
+        shutil.copy(template, work / template.name)
     made: bytes | list[bytes] = cast(Any, typst.compile)(
-        str(work / _TEMPLATE.name),
+        str(work / TEMPLATES[0].name),
         root=str(work),
         format="png" if path.suffix == ".png" else "pdf",
         ppi=ppi,
@@ -79,3 +90,41 @@ def write_sheet(
     )
     page = made[0] if isinstance(made, list) else made
     write_whole(path, lambda temporary: temporary.write_bytes(page))
+    if path.suffix == ".pdf":
+        names = (CONTENT, *pictures(content["blocks"]))
+        write_whole_folder(
+            path.with_suffix(".sheet"), lambda folder: [shutil.copy(work / name, folder / name) for name in names]
+        )
+
+
+def pictures(blocks: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
+    """The files that blocks show."""
+    rows = [row for block in blocks if block["kind"] == "grid" for row in block["rows"]]
+    return tuple(dict.fromkeys(str(picture["file"]) for row in rows for picture in row["pictures"]))
+
+
+def read_sheet(folder: Path) -> dict[str, Any]:
+    """The content of a ``NAME.sheet``: title, description, blocks.
+
+    Raises InvalidInput for one that is no sheet, of another schema, or without one of its pictures.
+    """
+    path = folder / CONTENT
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        schema = content.get("schema") if isinstance(content, dict) else None
+    except (OSError, ValueError) as error:
+        raise InvalidInput(f"{path}: expected the content of a sheet, {error}. Run the study again.") from error
+    if schema != SCHEMA:
+        raise InvalidInput(
+            f"{path}: this sheet has schema {schema}, this version reads schema {SCHEMA}. Run the study again."
+        )
+    try:
+        files = pictures(content["blocks"])
+    except (KeyError, TypeError) as error:
+        raise InvalidInput(
+            f"{path}: expected blocks of pictures and tables, {error!r}. Run the study again."
+        ) from error
+    for name in files:
+        if Path(name).name != name or not (folder / name).is_file():
+            raise InvalidInput(f"{folder / name}: this picture of the sheet is missing; run the study again.")
+    return cast(dict[str, Any], content)
