@@ -140,7 +140,7 @@ def _page(
     frames = first.frames
     camera = _camera(frames, SIZE)
     rows = []
-    for t in _lively(frames, expressions):
+    for t in lively(frames, expressions):
         name = f"{prefix}-{first.source}-{first.target}-{first.draw}-{t}"
         heads = [
             Head(f"source {first.source}", room.order(f"{name}-source", frames.source[t], frames, camera, SIZE, None)),
@@ -170,7 +170,7 @@ def _part_pages(
         frames = cell.frames
         camera = _camera(frames, SIZE)
         rows = []
-        for t in _lively(frames, expressions):
+        for t in lively(frames, expressions):
             own = f"{prefix}-{cell.source}-{cell.target}-{cell.draw}-{t}"
             mine = f"{own}-{cell.method}-{cell.n_examples}"
             heads = [Head("source", room.order(f"{own}-source", frames.source[t], frames, camera, SIZE, None))]
@@ -222,7 +222,7 @@ def _errors(cell: FigureCell) -> FloatArray:
     return np.stack([cell.frames.error(t) for t in range(len(cell.frames.truth))])
 
 
-def _lively(frames: Frames, count: int) -> list[int]:
+def lively(frames: Frames, count: int) -> list[int]:
     """Indices of the frames that move most, in their own order."""
     motion = np.linalg.norm(frames.truth - frames.target_neutral, axis=2).mean(axis=1)
     return sorted(np.argsort(-motion, kind="stable")[:count].tolist())

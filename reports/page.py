@@ -1,0 +1,224 @@
+"""The report as one HTML page: its tables, and the heads as a viewer that turns. It needs no network.
+
+The tables hold what the PDF prints (`reports.report.describe`), the viewer the frames that the study kept. Scripts,
+styles and meshes are inside the page, and its content security policy lets nothing else in. The same results give the
+same bytes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from html import escape
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import to_hex
+
+from reports import page_tables as tables
+from reports.colors import ERROR_COLORMAP, SKIN
+from reports.load import StudyResults
+from reports.page_heads import ASPECT, BUDGET, STEP, Packed, pack_heads
+from retarget.io.files import write_whole
+
+_TEMPLATE, *_SCRIPTS = (Path(__file__).with_name(f"page{name}") for name in (".html", "_viewer.js", "_tables.js"))
+
+
+def write_page(path: Path, content: Mapping[str, Any], studies: Sequence[StudyResults]) -> Path:
+    """Write the page of some studies, whole or not at all; returns its path.
+
+    `content` is what `reports.report.describe` made of the same studies. Raises InvalidInput where the page cannot be
+    written.
+    """
+    text = page(content, studies)
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    return path
+
+
+def page(content: Mapping[str, Any], studies: Sequence[StudyResults]) -> str:
+    """The page as text; see `write_page`."""
+    heads = list(_heads(content, studies))
+    arrays = [array for packed in heads for array in packed.arrays]
+    facts = {
+        "skin": SKIN,
+        "colors": [to_hex(ERROR_COLORMAP(x)) for x in np.linspace(0, 1, 11)],
+        "studies": [packed.facts for packed in heads],
+    }
+    return Template(_TEMPLATE.read_text(encoding="utf-8")).substitute(
+        title=escape(content["title"]),
+        description=escape(content["description"]),
+        links=_links(content, bool(heads)),
+        overview=_overview(content["overview"]) if content["overview"] else "",
+        viewer_hidden="" if heads else "hidden",
+        no_viewer="" if heads else _NO_FRAMES,
+        aspect=f"{ASPECT[0]} / {ASPECT[1]}",
+        precision=f"{STEP:g}",
+        correspondences=_correspondences(content["correspondences"]),
+        studies="".join(_study(i, study, len(content["studies"]) > 1) for i, study in enumerate(content["studies"])),
+        heads=json.dumps(facts, ensure_ascii=True).replace("</", "<\\/").replace("<!--", "<\\u0021--"),
+        arrays="".join(f'<script type="text/plain" id="array-{i}">{text}</script>\n' for i, text in enumerate(arrays)),
+        script="".join(script.read_text(encoding="utf-8") for script in _SCRIPTS),
+    )
+
+
+_FOUND = "What was found"
+_NO_FRAMES = (
+    "<h2>Heads</h2><p>This study kept no frames, so there are no heads to turn. "
+    "Set <code>study.figures.pairs</code> to 1 or more to keep some.</p>"
+)
+
+
+def _heads(content: Mapping[str, Any], studies: Sequence[StudyResults]) -> Iterator[Packed]:
+    """The heads of every study that kept some; they share the room."""
+    first, budget = 0, BUDGET // len(studies)
+    for study, said in zip(studies, content["studies"], strict=True):
+        limit = said["heads"]["limit_mm"] if said["heads"] else 1.0
+        if packed := pack_heads(study, limit, first, budget):
+            first += len(packed.arrays)
+            yield packed
+
+
+def _overview(overview: Mapping[str, Any]) -> str:
+    favours = ((f"{name}.", text) for name, text in overview["favours"])
+    parts = "".join(tables.ordering_table(overview["conditions"], part) for part in overview["parts"])
+    agreement = tables.agreement_table(
+        overview["counts"],
+        overview["agreement"],
+        "Agreement of two orders: Kendall's tau of the means of all methods and controls, 1 for the same order.",
+    )
+    return (
+        f"<section><h2>The order of methods</h2>{_list(overview['findings'])}<h3>What each condition favours</h3>"
+        f"<ul>{''.join(f'<li><b>{escape(name)}</b> {escape(text)}</li>' for name, text in favours)}</ul>"
+        f"<h3>Conditions side by side</h3>{parts}{agreement}"
+        "<p class='muted'>Ranks are of means alone: a rank apart is no difference between methods, which the tests of "
+        "each condition state.</p></section>"
+    )
+
+
+def _correspondences(rows: Sequence[Mapping[str, Any]]) -> str:
+    if not rows:
+        return ""
+    caption = (
+        "The same method against itself with the source's true counterparts of the examples: ratio of the primary "
+        "metric, and how often the error is smaller."
+    )
+    return (
+        "<section><h2>Other source examples against given ones</h2>"
+        f"{tables.correspondence_table(rows, caption)}</section>"
+    )
+
+
+def _study(number: int, study: Mapping[str, Any], several: bool) -> str:
+    label = escape(study["label"])
+    name = f" <small>{label}</small>" if several else ""
+    body = "".join(
+        f'<section id="{_anchor(number, title)}"><h2>{escape(title)}{name}</h2>\n{text}</section>\n'
+        for title, text in _sections(study)
+    )
+    return f'<article aria-label="{label or "results"}">\n{body}</article>\n'
+
+
+def _anchor(number: int, title: str) -> str:
+    return f"{title.lower().replace(' ', '-')}-{number}"
+
+
+def _links(content: Mapping[str, Any], heads: bool) -> str:
+    """To the sections, or to the studies where there are several."""
+    studies = content["studies"]
+    if len(studies) > 1:
+        targets = [(_anchor(i, _FOUND), study["label"]) for i, study in enumerate(studies)]
+    else:
+        targets = [(_anchor(0, title), title) for title, _ in _sections(studies[0])]
+    return (
+        "<nav>"
+        + "".join(
+            f'<a href="#{anchor}">{escape(title)}</a>' for anchor, title in [("viewer", "Heads")] * heads + targets
+        )
+        + "</nav>"
+    )
+
+
+def _sections(study: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    counts, reference = study["counts"], study["reference"]
+    yield (
+        _FOUND,
+        f"<p class='muted'>Every statement holds for: {escape(study['conditions'])}.</p>{_list(study['findings'])}"
+        + (f"<p><em>{escape(study['favours'])}</em></p>" if study["favours"] else ""),
+    )
+    pairs = " or ".join(map(str, study["pairs"]))
+    yield (
+        "Errors",
+        tables.summary_table(
+            counts,
+            study["summary"],
+            f"{_measure(study)}: mean over {pairs or 'no'} ordered pairs with its nominal 95 % interval, and the "
+            f"geometric-mean ratio to {reference}. Bold: smallest mean of a method or control. A mean covers only "
+            "cells that all compared methods finished; a number of cells after it counts those without a result.",
+        ),
+    )
+    if study["tables"]:
+        yield (
+            "Further measures",
+            "".join(
+                tables.summary_table(
+                    counts, also["summary"], f"{_measure(also)}, in the manner of the table of errors."
+                )
+                for also in study["tables"]
+            ),
+        )
+    if study["measures"]:
+        caption = f"Each row against {reference}: above 1 the row is worse. Uncorrected; no claim rests on it."
+        measures = tables.measures_table(study["measures"], reference, caption)
+        yield "What each row was meant to change", measures
+    yield (
+        "Errors by region",
+        "".join(map(tables.region_table, study["regions"]))
+        + f"<p class='muted'>Mean of {escape(study['metric'])} in {escape(study['unit'])}. Bold: the difference to "
+        f"{escape(reference)} is below 5 % after Benjamini-Hochberg; secondary, no claim rests on it.</p>",
+    )
+    yield "Tests", _tests(study)
+    yield "Cells without a clean result", _failures(study)
+    times = "Medians with quartiles. They were taken beside other processes: orders of magnitude, no small differences."
+    yield "Times", tables.times_table(counts, study["times"], times)
+    yield "Methods", tables.settings_table(study["settings"])
+    facts = "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in study["facts"])
+    yield "What was run", f"<dl>{facts}</dl>"
+
+
+def _tests(study: Mapping[str, Any]) -> str:
+    family, reference = study["family"], study["reference"]
+    if not study["tests"]:
+        primary = "<p>No method of the primary family could be compared.</p>"
+    else:
+        caption = (
+            f"Primary family against {reference}: {_measure(study)}. Holm's correction is over the declared family of "
+            f"{family['declared']} tests."
+        )
+        if family["run"] < family["declared"]:
+            caption += f" Family incomplete: {family['run']} of {family['declared']} tests."
+        primary = tables.tests_table(study["tests"], "p Holm", caption)
+    caption = "Methods outside the primary family, with Benjamini-Hochberg's correction; no claim rests on them."
+    secondary = tables.tests_table(study["secondary"], "q BH", caption) if study["secondary"] else ""
+    return (
+        f"{primary}{secondary}<p class='muted'>A difference is claimed where the corrected test, the tests on sources "
+        "and on targets and the interval agree. p naive takes every expression as independent, which overstates the "
+        "evidence.</p>"
+    )
+
+
+def _failures(study: Mapping[str, Any]) -> str:
+    said = tables.status_table(study["statuses"]) if study["statuses"] else ""
+    caption = "Solves, one per expression, that stopped at their iteration limit or failed."
+    solves = tables.solves_table(study["solves"], caption) if study["solves"] else ""
+    return said + solves or f"<p>All {study['cells']} cells finished.</p>"
+
+
+def _measure(study: Mapping[str, Any]) -> str:
+    unit = "" if study["unit"] == "1" else f" in {study['unit']}"
+    return f"{study['metric']} on region {study['region']}{unit}"
+
+
+def _list(lines: Sequence[str]) -> str:
+    return f"<ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>"
