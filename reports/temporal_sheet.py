@@ -74,7 +74,7 @@ def _over_time(rows: pd.DataFrame, times: pd.DataFrame, kinds: dict[str, str], r
         )
         curves[str(method)] = wide.reindex(seconds.index)
     shown = [method for method, table in curves.items() if method != "neutral" and table.size]
-    highest = max((float(curves[method].max(axis=None)) for method in shown), default=1.0)
+    highest = max((float(np.nanmax(curves[method].to_numpy())) for method in shown), default=1.0)
     lines = max(-(-len(shown) // COLUMNS), 1)
     with canvas(path, 174 / 25.4, 1.25 * lines + 0.3) as figure:
         grid = figure.subplots(
