@@ -23,6 +23,7 @@ from synth_data.personal.jaw import Excursion, JawMotion, jaw_motion
 from synth_data.personal.lids import LidAction, Lids, lids_of
 from synth_data.personal.mouth import Mouth, mouth_of
 from synth_data.personal.muscles import MUSCLES, Pull, pulls_of
+from synth_data.personal.relaxation import Relaxation, relaxation_of
 from synth_data.personal.shares import carried, skin_of, smoothstep
 from synth_data.personal.sliding import Sliding, sliding_surface
 from synth_data.personal.traits import Traits
@@ -57,6 +58,7 @@ class PersonalFace:
     lids: tuple[Lids, Lids]  # left, right
     folds: Sequence[Fold]
     jaw: JawMotion
+    relaxation: Relaxation  # of creases in which the skin would cross itself
     off_lids: FloatArray  # (n,) 0 on lids, which muscles of the cheek and brow do not drag off the eyeball
     soft: FloatArray  # (n,) 1 where compressed tissue thickens
     outside: IntArray  # triangles of the visible skin
@@ -79,7 +81,7 @@ class PersonalFace:
         excursion = Excursion(
             self._opening(w), w["jawForward"], w["jawLeft"], w["jawRight"], min(w["mouthClose"] + self._taut(w), 1.0)
         )
-        return self.mouth.parted(self.jaw(skin, excursion), max(w.values()))
+        return self.relaxation(self.mouth.parted(self.jaw(skin, excursion), max(w.values())))
 
     def _opening(self, w: dict[str, float]) -> float:
         return float(self.traits.response(np.array(w["jawOpen"])))
@@ -212,6 +214,7 @@ def personal_face(vertices: FloatArray, faces: IntArray, regions: Regions, trait
     face_part = np.zeros(n)
     face_part[regions.vertices["face"]] = 1.0
     soft = skin.blurred(face_part, 4.0) * off_lids * (1 - 0.6 * skin.blurred(lips, 2.0)) * (1 - mouth.inner)
+    bends = (jaw.share > 0.1) & (jaw.share < 0.9)
     nose = np.zeros(n)
     nose[regions.vertices["nose"]] = 1.0
     loose = off_lids * smoothstep(1 - 1.2 * skin.blurred(lips, 1.5))
@@ -230,6 +233,7 @@ def personal_face(vertices: FloatArray, faces: IntArray, regions: Regions, trait
         lids=(lids[0], lids[1]),
         folds=folds_of(vertices, normals, frame, traits, loose),
         jaw=jaw,
+        relaxation=relaxation_of(vertices, faces, skin.mass, np.flatnonzero(lips + on_lids + bends)),
         off_lids=off_lids,
         soft=soft * (1 - 0.7 * skin.blurred(nose, 3.0)),
         outside=np.flatnonzero(np.isin(faces, visible).all(axis=1)),
