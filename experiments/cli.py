@@ -24,7 +24,7 @@ from retarget.suggest import choose
 USAGE = """\
 Offline facial retargeting: an honest comparison of methods.
 
-  python -m experiments run      run a study, write its tables and its report PDF
+  python -m experiments run      run a study, write its tables and its report, as PDF and page
   python -m experiments report   build the report again, or one report of several results folders
   python -m experiments export   faces that perform as glTF, OBJ sequence or NPZ: truth, rigs, retargeted animation
   python -m experiments gate     compare a finished study with the accuracy gates under version control
@@ -110,7 +110,9 @@ def report(config: DictConfig) -> None:
     output = Path(config.output).absolute() if config.output else None
     if output is None and not config.inputs:
         output = results_folder(config) / "report.pdf"
-    print_path(build_report(inputs, output, console.print), console)
+    path = build_report(inputs, output, console.print)
+    for written in (path, path.with_suffix(".html")):
+        print_path(written, console)
 
 
 @hydra.main(config_name="export", **HYDRA_MAIN)

@@ -79,7 +79,9 @@ def _tell(finished: Finished, folder: Path, console: Console) -> None:
 
 
 def _report(folders: Sequence[Path], output: Path | None, console: Console) -> None:
-    print_path(build_report(folders, output, lambda line: console.print(f"  {line}")), console)
+    path = build_report(folders, output, lambda line: console.print(f"  {line}"))
+    for written in (path, path.with_suffix(".html")):
+        print_path(written, console)
 
 
 def _follow(config: DictConfig, folder: Path, console: Console) -> None:

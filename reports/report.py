@@ -25,8 +25,10 @@ from reports.heads import HeadPages, render_heads
 from reports.load import StudyResults, load
 from reports.ordering import Ordering, overview
 from reports.ordering_plot import ordering_plot
+from reports.page import write_page
 from reports.statistics import REPLICATES, benjamini_hochberg
 from reports.summary import paired_tests, region_tests
+from retarget.check import InvalidInput
 from retarget.io.files import write_whole
 
 _TEMPLATE = Path(__file__).with_name("template.typ")
@@ -36,7 +38,7 @@ _SIGNIFICANT = 0.05
 def build_report(
     folders: Sequence[Path], output: Path | None = None, progress: Callable[[str], None] = lambda line: None
 ) -> Path:
-    """Write one PDF about one or several results folders and return its path.
+    """Write one PDF about one or several results folders, and a page beside it (`reports.page`); returns its path.
 
     Without an output it is report.pdf in the folder itself, or in the folder that holds all of them. The file is
     moved into place when it is whole. Raises InvalidInput for folders that cannot be read, or an output that cannot
@@ -44,12 +46,16 @@ def build_report(
     """
     studies = load(folders)
     path = Path(output) if output is not None else _default_output(studies)
+    if path.suffix == ".html":
+        raise InvalidInput(f"output: expected the path of the PDF, got {path}; the page is written beside it.")
     with tempfile.TemporaryDirectory(prefix="report-") as name:
         work = Path(name)
         content = describe(studies, work, progress)
         progress("typesetting")
         pdf = cast(bytes, typeset(content, work))
     write_whole(path, lambda temporary: temporary.write_bytes(pdf))
+    progress("page")
+    write_page(path.with_suffix(".html"), content, studies)
     return path
 
 
