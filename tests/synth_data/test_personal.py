@@ -22,6 +22,7 @@ from synth_data.personal.face import PersonalFace, personal_face
 from synth_data.personal.jaw import Excursion
 from synth_data.personal.lids import LidAction, fit_sphere
 from synth_data.personal.measure import magnitudes, span_residual
+from synth_data.personal.relaxation import relaxation_of
 from synth_data.personal.scans import SCANS, personal_scans, unit_weights
 from synth_data.personal.traits import ASYMMETRY, GAIN_DEVIATION, draw_traits
 
@@ -75,6 +76,39 @@ def test_scans_of_people_whose_lips_are_apart_cross_nowhere(people: list[Persona
         assert len(self_intersections(face.neutral, face.faces)) == 0
         for name in ("smile", "anger", "eyes_shut", "lips_shut_jaw_open"):
             assert len(self_intersections(face(unit_weights(SCANS[name]))[0], face.faces)) == 0, name
+
+
+@pytest.mark.parametrize(
+    ("seed", "names"),
+    [(0, ["jaw_drop"]), (2, ["pucker", "jaw_drop", "mouth_left", "mouth_right"]), (6, ["pucker", "eyes_squeezed"])],
+)
+def test_creases_of_lips_lids_and_throat_cross_nowhere(
+    base: Base, sampler: IdentitySampler, seed: int, names: list[str]
+) -> None:
+    face = face_of(base, sampler, seed)
+    assert len(self_intersections(face.neutral, face.faces)) == 0
+    for name in names:
+        assert len(self_intersections(face(unit_weights(SCANS[name]))[0], face.faces)) == 0, name
+
+
+def test_sheets_that_pass_each_other_give_way_and_nothing_else_moves() -> None:
+    sheet = np.stack(np.meshgrid(np.arange(0.0, 41.0, 2.0), np.arange(0.0, 21.0, 2.0), [0.0]), axis=-1).reshape(-1, 3)
+    corner = np.flatnonzero((sheet[:, 0] < 40) & (sheet[:, 1] < 20))
+    square = np.column_stack([corner, corner + 1, corner + 22, corner, corner + 22, corner + 21])
+    faces = np.concatenate([part + shift for part in (square[:, :3], square[:, 3:]) for shift in (0, len(sheet))])
+    above = np.array([0.3, 0.4, 0.5])
+    rest_ = np.concatenate([sheet, sheet + above])
+    relaxation = relaxation_of(rest_, faces, np.full(len(rest_), 4.0), np.arange(len(rest_)))
+    slid = rest_ + np.column_stack([0.2 * np.sin(rest_[:, 1]), np.zeros((len(rest_), 2))])
+    assert relaxation(slid) is slid  # nothing crosses
+    pressed = rest_.copy()
+    pressed[: len(sheet), 2] += 1.5 * np.exp(-0.5 * np.sum((sheet - (10, 10, 0)) ** 2, axis=1) / 3.0**2)
+    assert len(self_intersections(pressed, faces)) > 0
+    mended = relaxation(pressed)
+    assert len(self_intersections(mended, faces)) == 0
+    moved = np.linalg.norm(mended - pressed, axis=1)
+    assert 0.2 < moved.max() < 1.5  # mm
+    assert (moved[rest_[:, 0] > 30] == 0).all()
 
 
 def test_magnitudes_are_those_of_people(base: Base, people: list[PersonalFace]) -> None:
