@@ -18,10 +18,11 @@ MARGIN = 12  # pixels
 
 
 def main() -> None:
-    settings = dict(composed("run", ["study=artistic"]).study)
+    settings = dict(composed("run", ["study=artistic", "study.expression=sparse-049"]).study)
     settings.pop("kind")
     study = ArtisticStudy.from_config(settings)
-    panels = edited(study, scene(study, MethodMaker.of("anacondar"), MakeHuman(identities=2, subdivisions=1).load()))
+    people = MakeHuman(identities=2, subdivisions=1, truth="personal_blendshapes", weights="sparse").load()
+    panels = edited(study, scene(study, MethodMaker.of("anacondar"), people))
     for panel in panels:
         print(panel.title, {k: v if isinstance(v, str) else round(float(v), 4) for k, v in panel.numbers.items()})
     path = IMAGES / "artistic_control.png"

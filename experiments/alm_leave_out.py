@@ -18,7 +18,7 @@ from experiments.progress import progress
 from experiments.study import check_whole
 from reports.leave_out_sheet import Shown, write_leave_out_sheet
 from retarget.check import InvalidInput
-from retarget.types import Examples, FloatArray, Prepared
+from retarget.types import Examples, FloatArray, Prepared, RetargetProblem
 from synth_data.dataset import Dataset
 
 
@@ -49,14 +49,15 @@ def leave_out(
 ) -> None:
     """Run the study and write ``records.csv``, ``summary.csv`` and ``alm_leave_out.pdf``.
 
-    The summary compares the first method with each of the others.
+    The summary compares the first method that serves the data with each of the others. Raises InvalidInput where none
+    does.
     """
     rows: list[dict[str, object]] = []
     shown: list[Shown] = []
     with limited_threads(threads), progress(console, "pairs", study.pairs) as advance:
         # No expression is tested besides the shapes; one is drawn all the same where there is one to spare.
         for case in cases(replace(study, expressions=int(len(dataset.expressions) > study.shapes)), dataset):
-            methods = {maker.name: maker().prepare(case.pair) for maker in makers}
+            methods = {maker.name: maker().prepare(case.pair) for maker in _serving(makers, case.problem, console)}
             for fold in range(study.folds):
                 held, frames = folded(study, case, methods, fold)
                 errors = {name: held.error(found, held.truth) for name, found in frames.items()}
@@ -76,10 +77,21 @@ def leave_out(
                     shown.append(_liveliest(held, frames, errors))
             advance(1)
     records = pd.DataFrame(rows)
-    summary = summary_of_errors(records, makers[0].name)
+    summary = summary_of_errors(records, str(records["method"].iloc[0]))
     with tempfile.TemporaryDirectory(prefix="sheet-") as work:
         write_leave_out_sheet(folder / f"{study.name}.pdf", study.title, study.description, shown, summary, Path(work))
     save(study, records, summary, folder, console)
+
+
+def _serving(makers: Sequence[MethodMaker], problem: RetargetProblem, console: Console) -> list[MethodMaker]:
+    """The methods that serve a problem; of the others a line says why they do not. Raises InvalidInput for none."""
+    refusals = {maker.name: maker().unsupported(problem) for maker in makers}
+    for name, reason in refusals.items():
+        if reason:
+            console.print(f"  left out: {name}, {reason}", markup=False, highlight=False, soft_wrap=True)
+    if all(refusals.values()):
+        raise InvalidInput("method: none of those chosen serves this dataset; choose others with 'method=[NAME,NAME]'.")
+    return [maker for maker in makers if not refusals[maker.name]]
 
 
 def folded(

@@ -64,7 +64,7 @@ def vary(
 
 def measured(maker: MethodMaker, case: Case, variable: str, value: float) -> list[dict[str, object]]:
     """A row for each expression."""
-    method = maker(**{variable: value})
+    method = maker.serving(case.problem, **{variable: value})
     if not isinstance(method, AnatomicalLocalModels):
         raise InvalidInput(
             f"method: this study is of ALM, got {maker.name}; choose one with 'method=[alm_patch_only]'."

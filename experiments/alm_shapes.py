@@ -67,8 +67,8 @@ def measured(study: ShapesStudy, makers: Mapping[str, MethodMaker], case: Case) 
         about = {"source": case.source, "target": case.target, "measure": measure, "row": row, "shapes": count}
         rows.extend({**about, "expression": name, "mm": value} for name, value in zip(names, values, strict=True))
 
-    alm = makers["alm"]().prepare(case.pair)
-    lbs = makers["lbs"]().prepare(case.pair)
+    alm = makers["alm"].serving(case.problem).prepare(case.pair)
+    lbs = makers["lbs"].serving(case.problem).prepare(case.pair)
     whole = alm.fit(case.first(study.counts[-1]), case.span)(case.frames).frames
     for count in study.counts:
         examples = case.first(count)

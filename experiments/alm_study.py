@@ -19,7 +19,7 @@ from experiments.study import check_whole
 from reports.curves_sheet import Panel, write_curves_sheet
 from retarget.check import InvalidInput
 from retarget.io.files import write_whole
-from retarget.types import Examples, FloatArray, IntArray, Pair
+from retarget.types import Examples, FloatArray, IntArray, Pair, RetargetProblem
 from synth_data.dataset import Dataset
 
 
@@ -62,6 +62,11 @@ class Case:
     tests: tuple[str, ...]
     frames: FloatArray  # (t, n, 3) mm of the source
     truth: FloatArray  # (t, n, 3) mm of the target
+
+    @property
+    def problem(self) -> RetargetProblem:
+        """What a method is asked that knows all shapes."""
+        return RetargetProblem.of(self.pair, self.shapes, self.span)
 
     def first(self, count: int) -> Examples:
         """The `count` shapes that move most."""

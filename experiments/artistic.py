@@ -15,6 +15,7 @@ from rich.console import Console
 
 from experiments.backend import limited_threads
 from experiments.catalogue import MethodMaker
+from experiments.collision import chosen_pairs
 from experiments.progress import Advance, print_path, progress
 from experiments.protocol import draw
 from experiments.study import check_whole
@@ -27,7 +28,7 @@ from retarget.geometry.space_warp import space_warp
 from retarget.io.files import write_whole
 from retarget.rig.blendshapes import Patches
 from retarget.suggest import choose
-from retarget.types import Examples, Fitted, FloatArray, IntArray, Pair, RetargetResult
+from retarget.types import Examples, Fitted, FloatArray, IntArray, Pair, RetargetProblem, RetargetResult
 from synth_data.dataset import Dataset
 
 MOVED = 0.1  # mm: what moves less has not
@@ -42,7 +43,7 @@ class ArtisticStudy:
     description: str
     seed: int
     n_examples: int
-    expression: str
+    expression: str | None  # of the dataset; None: the one in which the first identity moves most
     edits: Mapping[str, Mapping[str, Any]]
 
     @staticmethod
@@ -59,6 +60,7 @@ class ArtisticStudy:
 class Scene:
     """One expression of a pair, and the method that retargets it."""
 
+    expression: str
     pair: Pair
     fitted: Fitted
     patches: Patches  # of the method
@@ -68,7 +70,7 @@ class Scene:
     @property
     def contour(self) -> IntArray:
         """(k,) skin vertices."""
-        return np.asarray(self.pair.regions.loops["lip_contour"], dtype=np.int64)
+        return np.asarray(self.pair.regions.loops.get("lip_contour", ()), dtype=np.int64)
 
 
 def intervene(
@@ -76,13 +78,14 @@ def intervene(
 ) -> None:
     """Run the study and write ``summary.csv`` and ``artistic.pdf``."""
     with limited_threads(threads), progress(console, "edits", len(study.edits)) as advance:
-        panels = edited(study, scene(study, make, dataset), advance)
+        shown = scene(study, make, dataset)
+        panels = edited(study, shown, advance)
     table = pd.DataFrame([{"edit": panel.title, **panel.numbers} for panel in panels])
     write_whole(folder / "summary.csv", lambda path: table.to_csv(path, index=False))
     with tempfile.TemporaryDirectory(prefix="sheet-") as work:
         source, target = dataset.identities[:2]
         what = (
-            f"{study.description} Expression {study.expression} of {source} on {target}, {study.n_examples} examples."
+            f"{study.description} Expression {shown.expression} of {source} on {target}, {study.n_examples} examples."
         )
         write_artistic_sheet(folder / "artistic.pdf", study.title, what, panels, Path(work))
     print_edits(table, console)
@@ -91,17 +94,32 @@ def intervene(
 
 
 def scene(study: ArtisticStudy, make: MethodMaker, dataset: Dataset) -> Scene:
-    """The first identity performs, the second answers."""
-    expression = dataset.expressions.index(choose("study.expression", study.expression, dataset.expressions))
-    source, target = dataset.identities[:2]
+    """The first identity performs, the second answers. Raises InvalidInput where the study or the method cannot."""
+    [(source, target)] = chosen_pairs(dataset.identities, 1)
+    if study.expression is None:
+        expression = _liveliest(dataset, source)
+    else:
+        expression = dataset.expressions.index(choose("study.expression", study.expression, dataset.expressions))
     pair = dataset.scanned_pair(source, target)
     order = draw(source, target, 0, len(dataset.expressions), 0, study.seed).order
     examples = [i for i in order if i != expression][: study.n_examples]
     known = Examples(dataset.scanned(target, examples), dataset.scanned(source, examples))
     frame = dataset.scanned(source, [expression])
-    fitted = make().prepare(pair).fit(known, frame)
+    method = make.serving(RetargetProblem.of(pair, known, frame))
+    fitted = method.prepare(pair).fit(known, frame)
     patches = contiguous_patches(pair.faces, len(frame[0]), make.settings.get("patch_count", 80))
-    return Scene(pair, fitted, patches, frame, fitted(frame))
+    return Scene(dataset.expressions[expression], pair, fitted, patches, frame, fitted(frame))
+
+
+def _liveliest(dataset: Dataset, identity: str) -> int:
+    """The expression in which someone's visible skin moves most."""
+    rest = dataset.neutral(identity)
+    head = dataset.regions.vertices.get("head", np.arange(len(rest)))
+    motion = [
+        np.linalg.norm((dataset.frames(identity, [i])[0] - rest)[head], axis=1).mean()
+        for i in range(len(dataset.expressions))
+    ]
+    return int(np.argmax(motion))
 
 
 def edited(study: ArtisticStudy, of: Scene, advance: Advance = lambda count: None) -> list[Panel]:

@@ -16,9 +16,9 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.table import Table
 
-from retarget.check import InvalidInput
+from retarget.check import InvalidInput, UnsupportedProblem
 from retarget.suggest import choose
-from retarget.types import Retargeter
+from retarget.types import Retargeter, RetargetProblem
 
 GROUPS = ("study", "method", "dataset", "metric", "scale", "backend")
 CONF = Path(str(files("experiments") / "conf"))
@@ -58,6 +58,13 @@ class MethodMaker:
                     "choose another with 'method=[NAME]', for example 'method=[anacondar]'."
                 )
         return cast(Retargeter, instantiate(self.settings, **turned))
+
+    def serving(self, problem: RetargetProblem, **turned: Any) -> Retargeter:
+        """The method, where it serves a problem. Raises UnsupportedProblem with its reason where it does not."""
+        method = self(**turned)
+        if reason := method.unsupported(problem):
+            raise UnsupportedProblem(f"method {self.name} cannot serve this dataset: {reason}")
+        return method
 
 
 def make_method(name: str, **turned: Any) -> Retargeter:

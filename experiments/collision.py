@@ -29,7 +29,7 @@ from reports.collision_sheet import Case, write_collision_sheet
 from reports.terminal import print_collisions
 from retarget.check import InvalidInput
 from retarget.io.files import write_whole
-from retarget.types import Examples, FloatArray, Status
+from retarget.types import Examples, FloatArray, RetargetProblem, Status
 from synth_data.dataset import Dataset
 
 DISTANCES = (0.0, 2.0, 5.0, 10.0, 20.0, 30.0, 50.0, 80.0, 120.0)  # mm from the nearest contact
@@ -96,7 +96,7 @@ def chosen_pairs(identities: Sequence[str], count: int) -> list[tuple[str, str]]
     """Ordered pairs, neighbours first: every identity is a target before one is a target twice."""
     n = len(identities)
     if n < 2:
-        raise InvalidInput(f"dataset.identities: expected at least 2, got {n}.")
+        raise InvalidInput(f"dataset.identities: expected at least 2, one performs, the other retargets; got {n}.")
     pairs = [(identities[i], identities[(i + step) % n]) for step in range(1, n) for i in range(n)]
     return pairs[:count]
 
@@ -115,12 +115,16 @@ def collisions_of(
     examples = list(drawn.examples(study.n_examples))
     if len(examples) < study.n_examples:
         raise InvalidInput(
-            f"dataset.expressions: expected at least {study.expressions + study.n_examples} (expressions and examples "
-            f"of the study), got {len(dataset.expressions)}."
+            f"dataset: expected at least {study.expressions + study.n_examples} expressions ({study.expressions} that "
+            f"are looked at and {study.n_examples} examples), got {len(dataset.expressions)}; ask for fewer with "
+            "study.expressions and study.n_examples."
         )
     span = dataset.scanned(source, examples)
     known = Examples(dataset.scanned(target, examples), span)
-    crossing, resolving = (make(collisions=collisions).prepare(pair).fit(known, span) for collisions in (False, True))
+    problem = RetargetProblem.of(pair, known, span)
+    crossing, resolving = (
+        make.serving(problem, collisions=collisions).prepare(pair).fit(known, span) for collisions in (False, True)
+    )
     depth = LipDepth(dataset.neutral(target), pair.faces, pair.regions)
     cases = []
     for test in drawn.test:

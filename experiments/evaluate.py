@@ -85,6 +85,10 @@ class _Refused(Exception):
     """A method has a reason not to serve a problem."""
 
 
+class _Unprepared(Exception):
+    """A method could not be set up for a pair."""
+
+
 def evaluate_pair(task: PairTask) -> int:
     """Compute and record every cell of the task; returns their number."""
     first = task.cells[0]
@@ -96,23 +100,23 @@ def evaluate_pair(task: PairTask) -> int:
     asked = {cell.correspondence for cell in task.cells}
     found = correspondences(pair, asked, task.study.embedding, task.study.rigging)
     for row, cells in _by_row(task.cells):
-        prepared, prepare_seconds, failure = _prepare(row, pair, clean)
+        prepared, prepare_seconds = _prepare(row, pair, clean)
         known: dict[tuple[str, int], _Answer] = {}  # of a method that needs no examples
         for cell in cells:
             case = _case(task.study, cell, pair, source, target, noise)
             answer: _Answer | None = None
-            status, reason = "failed", failure
-            if failure is None:
-                try:
-                    at = cell.correspondence, cell.draw
-                    answer = known.get(at) or _answer(row, prepared, case, found[cell.correspondence])
-                    if row.method is not None and not row.method.needs_examples:
-                        known[at] = answer
-                    status, reason = _verdict(answer.result)
-                except _Refused as refusal:
-                    status, reason = "unsupported", str(refusal)
-                except Exception as error:  # a method's failure is a result of the study, never its end
-                    status, reason = "failed", f"{type(error).__name__}: {error}"
+            try:
+                at = cell.correspondence, cell.draw
+                answer = known.get(at) or _answer(row, prepared, case, found[cell.correspondence])
+                if row.method is not None and not row.method.needs_examples:
+                    known[at] = answer
+                status, reason = _verdict(answer.result)
+            except _Refused as refusal:
+                status, reason = "unsupported", str(refusal)
+            except _Unprepared as failure:
+                status, reason = "failed", str(failure)
+            except Exception as error:  # a method's failure is a result of the study, never its end
+                status, reason = "failed", f"{type(error).__name__}: {error}"
             timings = {
                 "prepare_seconds": prepare_seconds,
                 "correspondence_seconds": answer and answer.found.seconds,
@@ -173,33 +177,36 @@ def _case(
     )
 
 
-def _prepare(row: Row, pair: Pair, clean: Pair) -> tuple[Prepared | PreparedReference | None, float | None, str | None]:
-    """(prepared, seconds, reason of a failure); a reference, which knows the truth, starts from clean neutrals."""
+def _prepare(row: Row, pair: Pair, clean: Pair) -> tuple[Prepared | PreparedReference | str, float | None]:
+    """(prepared or why it failed, seconds); a reference, which knows the truth, starts from clean neutrals."""
     start = time.perf_counter()
     try:
         prepared = REFERENCES[row.name](clean) if row.method is None else row.method.prepare(pair)
     except Exception as error:
-        return None, None, f"prepare: {type(error).__name__}: {error}"
-    return prepared, time.perf_counter() - start, None
+        return f"prepare: {type(error).__name__}: {error}", None
+    return prepared, time.perf_counter() - start
 
 
 def _answer(
-    row: Row, prepared: Prepared | PreparedReference | None, case: _Case, correspondence: Correspondence
+    row: Row, prepared: Prepared | PreparedReference | str, case: _Case, correspondence: Correspondence
 ) -> _Answer:
     if row.method is None:
+        if isinstance(prepared, str):
+            raise _Unprepared(prepared)
         assert not isinstance(prepared, Prepared)
-        assert prepared is not None  # a failed preparation never comes here
         start = time.perf_counter()
         frames = prepared(case.problem.target_examples, case.truth)
         found, fitted_at, answered_at = Found(case.known.source_examples), start, time.perf_counter()
         result = RetargetResult(frames, (SolveInfo(),) * len(frames))
         disturbed = None if case.noise is None else frames[: len(case.noise)]
     else:
-        assert isinstance(prepared, Prepared)
         found = _found(correspondence, case.known)
         problem = replace(case.problem, source_examples=found.examples)
-        if reason := row.method.unsupported(problem):
+        if reason := row.method.unsupported(problem):  # which says more than how the set-up failed
             raise _Refused(reason)
+        if isinstance(prepared, str):
+            raise _Unprepared(prepared)
+        assert isinstance(prepared, Prepared)
         start = time.perf_counter()
         fitted = prepared.fit(problem.examples, problem.source_animation)
         fitted_at = time.perf_counter()

@@ -18,6 +18,7 @@ from rich.console import Console
 
 from experiments.backend import limited_threads
 from experiments.catalogue import MethodMaker, make_method
+from experiments.collision import chosen_pairs
 from experiments.memory import peak_memory_mb
 from experiments.progress import Advance, print_path, progress
 from experiments.study import check_whole
@@ -34,7 +35,7 @@ from retarget.simulation.characteristics import FacialCharacteristics
 from retarget.simulation.forward import ForwardSettings, ForwardSimulation
 from retarget.simulation.inverse import InverseSettings, InverseSimulation
 from retarget.suggest import choose
-from retarget.types import Examples, FloatArray, Pair, Status
+from retarget.types import Examples, FloatArray, Pair, RetargetProblem, Status
 from synth_data.dataset import Dataset
 
 FRAMES_LEAST = 50  # fewer give no median to speak of
@@ -98,6 +99,7 @@ def measure(
 ) -> None:
     """Run the study and write ``frames.csv`` and ``summary.csv``."""
     performance = perform(study, dataset)
+    make.serving(RetargetProblem.of(performance.pair, performance.examples, performance.frames))
     template = load_template(dataset.faces, dataset.regions, study.template)
     cases = [(surface, collisions) for surface in study.surfaces for collisions in (False, True)]
     with limited_threads(threads):
@@ -145,13 +147,14 @@ def measure(
 
 def perform(study: RuntimeStudy, dataset: Dataset) -> Performance:
     """The first identity performs, the second answers: an animation that moves smoothly through drawn expressions."""
-    source, target = dataset.identities[:2]
+    [(source, target)] = chosen_pairs(dataset.identities, 1)
     rng = np.random.default_rng(np.random.SeedSequence([study.seed]))
     stops = -(-study.animation_frames // study.frames_per_expression)
     if study.blendshapes + stops > len(dataset.expressions):
         raise InvalidInput(
-            f"dataset.expressions: expected at least {study.blendshapes + stops} ({study.blendshapes} examples and "
-            f"{stops} expressions to pass), got {len(dataset.expressions)}."
+            f"dataset: expected at least {study.blendshapes + stops} expressions ({study.blendshapes} examples and "
+            f"{stops} to pass), got {len(dataset.expressions)}; ask for fewer with study.blendshapes and "
+            "study.animation_frames."
         )
     order = rng.permutation(len(dataset.expressions))
     examples, passed = order[: study.blendshapes], order[study.blendshapes :][:stops]

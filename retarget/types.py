@@ -88,6 +88,19 @@ class RetargetProblem:
     source_examples: FloatArray | None = None  # (k, n, 3) mm, or None: no correspondence is known
     regions: Regions = field(default_factory=Regions)
 
+    @staticmethod
+    def of(pair: Pair, examples: Examples, animation: FloatArray) -> RetargetProblem:
+        """animation: (N, n, 3) mm of the source."""
+        return RetargetProblem(
+            pair.faces,
+            pair.source_neutral,
+            pair.target_neutral,
+            animation,
+            examples.target,
+            examples.source,
+            pair.regions,
+        )
+
     @property
     def pair(self) -> Pair:
         return Pair(self.faces, self.source_neutral, self.target_neutral, self.regions)

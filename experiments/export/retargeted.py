@@ -20,10 +20,10 @@ from experiments.progress import progress
 from experiments.protocol import check_counts, draw
 from experiments.study import check_whole
 from reports.load import FigureCell, load
-from retarget.check import InvalidInput, UnsupportedProblem
+from retarget.check import InvalidInput
 from retarget.io.morph_mesh import MorphMesh, flipbook
 from retarget.suggest import choose
-from retarget.types import FloatArray, RetargetProblem, Status
+from retarget.types import Examples, FloatArray, RetargetProblem, Status
 from synth_data.dataset import Dataset
 
 AT_ONCE = 10  # frames that a method is given between two signs of progress
@@ -46,15 +46,8 @@ def retargeted(config: DictConfig, console: Console) -> Scene:
     console.print("  performing source and target")
     performed, truth = motion.performed(dataset, source), motion.performed(dataset, target)
     pair = dataset.scanned_pair(source, target)
-    problem = RetargetProblem(
-        faces=dataset.faces,
-        source_neutral=pair.source_neutral,
-        target_neutral=pair.target_neutral,
-        source_animation=dataset.scanned(source, range(len(dataset.expressions))),
-        target_examples=dataset.scanned(target, examples),
-        source_examples=dataset.scanned(source, examples),
-        regions=dataset.regions,
-    )
+    known = Examples(dataset.scanned(target, examples), dataset.scanned(source, examples))
+    problem = RetargetProblem.of(pair, known, dataset.scanned(source, range(len(dataset.expressions))))
     seen = dataset.as_scanned(source, motion.names, performed)
 
     def character(name: str, identity: str, frames: FloatArray, **about: str) -> MorphMesh:
@@ -77,9 +70,7 @@ def retargeted(config: DictConfig, console: Console) -> Scene:
 
 def _run(maker: MethodMaker, problem: RetargetProblem, frames: FloatArray, console: Console) -> tuple[FloatArray, str]:
     """Retargeted frames (t, n, 3) mm, and how the solves ended."""
-    method = maker()
-    if reason := method.unsupported(problem):
-        raise UnsupportedProblem(f"{maker.name} cannot serve this problem: {reason}")
+    method = maker.serving(problem)
     console.print(f"  {maker.name}: set-up for the pair and {problem.examples.count} examples")
     fitted = method.prepare(problem.pair).fit(problem.examples, problem.source_animation)
     out, statuses = np.empty(frames.shape), Counter[str]()
