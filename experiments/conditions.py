@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 from omegaconf import DictConfig, OmegaConf
 
+from experiments.catalogue import CONF, options
 from retarget.check import InvalidInput
 from retarget.suggest import choose
 
@@ -32,14 +33,24 @@ def said(settings: Mapping[str, object]) -> str:
     return ", ".join(f"{key} = {value}" for key, value in settings.items())
 
 
+def _datasets_with(key: str) -> list[str]:
+    """The datasets that have such a setting."""
+    return [name for name in options("dataset") if key in OmegaConf.load(CONF / "dataset" / f"{name}.yaml")]
+
+
 def _under(config: DictConfig, name: str, settings: object) -> DictConfig:
     where = f"study.conditions.{name}"
     if not _NAME.fullmatch(name):
         raise InvalidInput(f"{where}: expected a name of letters, digits, '_' and '-', a letter first.")
     if not isinstance(settings, Mapping) or not settings:
         raise InvalidInput(f"{where}: expected settings of the dataset, such as {{noise_mm: 0.3}}, got {settings!r}.")
-    for key in settings:
-        choose(f"{where}, setting of the dataset", str(key), [key for key in map(str, config.dataset) if key[0] != "_"])
+    for key in map(str, settings):
+        if key not in config.dataset and (others := _datasets_with(key)):
+            raise InvalidInput(
+                f"study={config.study.name} compares values of the setting '{key}', which the chosen dataset has not. "
+                f"Choose one that has it: dataset={' or dataset='.join(others)}."
+            )
+        choose(f"{where}, setting of the dataset", key, [key for key in map(str, config.dataset) if key[0] != "_"])
     comparison = OmegaConf.merge(config, {"dataset": dict(settings)})
     assert isinstance(comparison, DictConfig)
     OmegaConf.set_struct(comparison, False)

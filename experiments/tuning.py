@@ -33,6 +33,7 @@ class Tuning:
         """Of a study's settings and those of the chosen methods. Raises InvalidInput for what cannot be searched."""
         rest = dict(config)
         count, described = (rest.pop(name) for name in ("trials", "spaces"))
+        rest.pop("first_seed", None)  # the dataset's
         check_whole("study.trials", count, 1)
         if not isinstance(described, Mapping) or not described:
             raise InvalidInput(f"study.spaces: expected at least one method to tune, got {described!r}.")
