@@ -155,7 +155,7 @@ def _sections(study: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             study["summary"],
             f"{_measure(study)}: mean over {pairs or 'no'} ordered pairs with its nominal 95 % interval, and the "
             f"geometric-mean ratio to {reference}. Bold: smallest mean of a method or control. A mean covers only "
-            "cells that all compared methods finished; a number of cells after it counts those without a result.",
+            "cells that all compared methods finished; how many of its own cells have no result stands after it.",
         ),
     )
     if study["tables"]:

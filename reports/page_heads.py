@@ -23,6 +23,7 @@ from reports.camera import look
 from reports.figures import row_color
 from reports.heads import RAISE, TURN, framed, lively
 from reports.load import FigureCell, Frames, StudyResults
+from reports.render import sky_share
 from reports.text import number
 from retarget.check import InvalidInput
 from retarget.types import IntArray
@@ -150,6 +151,7 @@ class _Heads:
     budget: int
     scenes: dict[Scene, dict[str, Any]] = field(default_factory=dict)
     truths: dict[Scene, NDArray[Any]] = field(default_factory=dict)
+    skies: dict[str, int] = field(default_factory=dict)
 
     @cached_property
     def walk(self) -> Walk:
@@ -199,10 +201,18 @@ class _Heads:
             "neutrals": self.store.put(
                 self._packed(_lattice(np.stack([frames.source_neutral, frames.target_neutral]), 0.0))
             ),
+            "skies": [self._sky(key[0], frames.source_neutral), self._sky(key[1], frames.target_neutral)],
             "motion": self.store.put(self._packed(_lattice(frames.source, frames.source_neutral))),
             "truth": self.store.put(self._packed(_lattice(frames.truth, frames.target_neutral))),
             "results": {},
         }
+
+    def _sky(self, name: str, neutral: NDArray[Any]) -> int:
+        """How much light reaches each vertex, in 255ths along the walk: what is dark on the neutral stays dark."""
+        if name not in self.skies:
+            share = np.rint(255 * sky_share(neutral, self.study.figure_cells[0].frames.faces))
+            self.skies[name] = self.store.put(pack(np.diff(share.astype(np.int64)[self.walk.order], prepend=0)))
+        return self.skies[name]
 
     def _packed(self, values: IntArray) -> str:
         return pack(self.walk.steps(values).transpose(0, 2, 1))

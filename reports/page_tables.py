@@ -31,7 +31,7 @@ class Cell:
         )
         scope = ' scope="row"' if tag == "th" else ""
         note = f" <small>{escape(self.note)}</small>" if self.note else ""
-        return f"<{tag}{scope}{attributes}>{escape(self.text)}{note}</{tag}>"
+        return f"<{tag}{scope}{attributes}>{escape(self.text).replace('_', '_<wbr>')}{note}</{tag}>"
 
 
 @dataclass(frozen=True)
@@ -51,9 +51,10 @@ def table(columns: Sequence[Column], rows: Iterable[Sequence[Cell | str]], capti
         for column in columns
     )
     groups = _groups(columns) if any(column.group for column in columns) else ""
-    said = f"<caption>{escape(caption)}</caption>" if caption else ""
+    said = f'<p class="muted caption">{escape(caption)}</p>' if caption else ""
+    name = escape(caption or columns[0].name)
     return (
-        f'<div class="wide" tabindex="0" role="region" aria-label="{escape(caption or columns[0].name)}"><table>{said}'
+        f'{said}<div class="wide" tabindex="0" role="region" aria-label="{name}"><table>'
         f"<thead>{groups}<tr>{heads}</tr></thead><tbody>{body}</tbody></table></div>\n"
     )
 
@@ -101,7 +102,7 @@ _MEASURED = ("mean", "95 % interval", "ratio")
 
 def _measured(cells: Sequence[Content]) -> Iterator[Cell]:
     for c in cells:
-        failed = f"{c['failed']} cells" if c["failed"] else ""
+        failed = f"{c['failed']} missing" if c["failed"] else ""
         yield Cell(c["value"], failed, "best" if c["best"] else "")
         yield Cell(c["interval"], classes="muted")
         yield Cell(c["ratio"])

@@ -57,17 +57,17 @@ function vertexNormals(v, faces, out) {
 
 const VERTEX = `#version 300 es
 in vec3 position, normal;
-in vec2 error; // mm, and 1 where it was measured
+in vec3 surface; // error in mm, 1 where it was measured, share of the sky that reaches the vertex
 uniform mat3 turn;
 uniform vec3 eye; // of the camera, in turned coordinates
 uniform vec2 scale;
 uniform vec2 range; // near, far
 out vec3 facing, place;
-out vec2 shown;
+out vec3 shown;
 void main() {
   facing = turn * normal;
   place = turn * position - eye;
-  shown = error;
+  shown = surface;
   float depth = -place.z;
   gl_Position = vec4(place.xy * scale, ((range.y + range.x) * depth - 2.0 * range.x * range.y) / (range.y - range.x), depth);
 }`;
@@ -75,7 +75,7 @@ void main() {
 const FRAGMENT = `#version 300 es
 precision highp float;
 in vec3 facing, place;
-in vec2 shown;
+in vec3 shown;
 uniform vec3 skin, stops[11];
 uniform float limit;
 uniform bool mapped;
@@ -85,8 +85,9 @@ void main() {
   vec3 n = normalize(facing), viewer = -normalize(place);
   bool inside = !gl_FrontFacing;
   if (inside) n = -n;
-  float light = 0.74 * max(dot(n, KEY), 0.0) + 0.22 * max(dot(n, FILL), 0.0) + 0.30 * max(dot(n, RIM), 0.0)
-              + 0.26 * (0.7 + 0.3 * n.y);
+  float sky = 0.08 + 0.92 * shown.z, key = min(1.6 * sky, 1.0); // shadows of the key light are not traced
+  float light = 0.74 * key * max(dot(n, KEY), 0.0)
+              + (0.24 * max(dot(n, FILL), 0.0) + 0.44 * (0.7 + 0.3 * n.y) + 0.35 * max(dot(n, RIM), 0.0)) * sky;
   if (inside) light *= 0.35;
   bool colored = mapped && shown.y > 0.999;
   vec3 albedo = skin;
@@ -94,10 +95,10 @@ void main() {
     float x = clamp(shown.x / limit, 0.0, 1.0) * 10.0;
     int i = int(min(x, 9.0));
     albedo = mix(stops[i], stops[i + 1], x - float(i));
-    light = 0.16 + 0.84 * min(light, 1.0);
+    light = 0.25 * sky + 0.75 * min(light, 1.0);
   }
   vec3 lit = pow(albedo, vec3(2.2)) * light;
-  if (!colored) lit += 0.05 * pow(max(dot(n, normalize(viewer + KEY)), 0.0), 24.0);
+  if (!colored) lit += 0.06 * key * pow(max(dot(n, normalize(viewer + KEY)), 0.0), 24.0);
   color = vec4(pow(min(lit, 1.0), vec3(1.0 / 2.2)), 1.0);
 }`;
 
@@ -140,7 +141,7 @@ class Painter {
     const gl = this.gl, mesh = { array: gl.createVertexArray(), buffers: {} };
     gl.bindVertexArray(mesh.array);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.indices);
-    for (const [name, size] of [["position", 3], ["normal", 3], ["error", 2]]) {
+    for (const [name, size] of [["position", 3], ["normal", 3], ["surface", 3]]) {
       const place = gl.getAttribLocation(this.program, name);
       gl.bindBuffer(gl.ARRAY_BUFFER, mesh.buffers[name] = gl.createBuffer());
       gl.enableVertexAttribArray(place);
@@ -259,24 +260,38 @@ class Viewer {
     const walk = await this.topology(study), step = study.step;
     const millimetres = frame => Float32Array.from(frame, x => x * step);
     const [source, target] = await this.frames(scene.neutrals, walk);
+    const [sourceSky, targetSky] = await Promise.all(scene.skies.map(id => this.sky(id, walk)));
     if (name === "source") {
       const motion = await this.frames(scene.motion, walk);
-      return { shapes: [source, ...motion.map(m => added(source, m))].map(millimetres) };
+      return { shapes: [source, ...motion.map(m => added(source, m))].map(millimetres), surfaces: () => sourceSky };
     }
     const truth = (await this.frames(scene.truth, walk)).map(m => added(target, m));
-    if (name === "truth") return { shapes: [target, ...truth].map(millimetres) };
+    if (name === "truth") return { shapes: [target, ...truth].map(millimetres), surfaces: () => targetSky };
     const result = scene.results[count]?.[name];
     if (!result) return null;
     const deltas = await this.frames(result.delta, walk);
     const errors = [target.map(() => 0), ...deltas].map(delta => {
-      const out = new Float32Array(2 * walk.order.length);
+      const out = targetSky.slice();
       for (const i of walk.head) {
-        out[2 * i] = step * Math.hypot(delta[3 * i], delta[3 * i + 1], delta[3 * i + 2]);
-        out[2 * i + 1] = 1;
+        out[3 * i] = step * Math.hypot(delta[3 * i], delta[3 * i + 1], delta[3 * i + 2]);
+        out[3 * i + 1] = 1;
       }
       return out;
     });
-    return { shapes: [target, ...deltas.map((delta, t) => added(truth[t], delta))].map(millimetres), errors, result };
+    return {
+      shapes: [target, ...deltas.map((delta, t) => added(truth[t], delta))].map(millimetres),
+      surfaces: stop => errors[stop],
+      result,
+    };
+  }
+
+  // (error, measured, sky) of every vertex where nothing was measured.
+  sky(id, walk) {
+    return this.once("sky " + id, async () => {
+      const shares = summed((await this.array(id)).slice()), out = new Float32Array(3 * shares.length);
+      walk.order.forEach((vertex, i) => { out[3 * vertex + 2] = shares[i] / 255; });
+      return out;
+    });
   }
 
   wire() {
@@ -383,10 +398,9 @@ class Viewer {
     this.stop = stop;
     this.part("expression").value = stop;
     this.name();
-    const n = this.study.vertices;
     for (const panel of this.panels.values()) {
       if (!panel.column) continue;
-      panel.to = { shape: panel.column.shapes[stop], error: panel.column.errors?.[stop] ?? new Float32Array(2 * n) };
+      panel.to = { shape: panel.column.shapes[stop], surface: panel.column.surfaces(stop) };
       panel.from = blend && !this.still && panel.now ? panel.now : panel.to;
     }
     this.began = blend && !this.still ? performance.now() : -Infinity;
@@ -399,10 +413,10 @@ class Viewer {
     const between = (a, b) => s === 1 || a === b ? b : a.map((x, i) => x + s * (b[i] - x));
     for (const panel of this.panels.values()) {
       if (!panel.column || !panel.to) continue;
-      panel.now = { shape: between(panel.from.shape, panel.to.shape), error: between(panel.from.error, panel.to.error) };
+      panel.now = { shape: between(panel.from.shape, panel.to.shape), surface: between(panel.from.surface, panel.to.surface) };
       panel.normals ??= new Float32Array(panel.now.shape.length);
       vertexNormals(panel.now.shape, this.walk.faces, panel.normals);
-      this.painter.fill(panel.mesh, { position: panel.now.shape, normal: panel.normals, error: panel.now.error });
+      this.painter.fill(panel.mesh, { position: panel.now.shape, normal: panel.normals, surface: panel.now.surface });
     }
     this.paint();
     this.moving = t < 1;

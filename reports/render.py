@@ -101,6 +101,14 @@ def visible(
     return np.asarray(hidden < 0)
 
 
+def sky_share(vertices: ArrayLike, faces: ArrayLike) -> FloatArray:
+    """(n,) share in [0, 1] of an even sky that reaches vertices (n, 3) mm past their own mesh with faces (f, 3)."""
+    v = check_vertices("vertices", vertices)
+    f = check_faces("faces", faces, len(v))
+    normals = np.asarray(trimesh.Trimesh(v, f, process=False).vertex_normals)
+    return _sky_share(_scene(v, f), v + _LIFT * normals, normals)
+
+
 def draw_points(
     image: Image, pixels: ArrayLike, color: ColorType = "#c1121f", radius: float = 4.0, edge: ColorType | None = "white"
 ) -> Image:
@@ -183,9 +191,12 @@ def _light_reaching(scene: rtcore_scene.EmbreeScene, v: FloatArray, normals: Flo
     lamp = _unit(key + spiral[:, :1] * across + spiral[:, 1:] * np.cross(key, across)) @ camera.axes
     origins = v + _LIFT * normals
     key_share = _unhidden(scene, origins, lamp, np.ones((len(v), len(lamp))))
+    return np.column_stack([key_share, _sky_share(scene, origins, normals)])
+
+
+def _sky_share(scene: rtcore_scene.EmbreeScene, origins: FloatArray, normals: FloatArray) -> FloatArray:
     sky = _sphere(_SKY_RAYS)
-    sky_share = _unhidden(scene, origins, sky, np.maximum(normals @ sky.T, 0.0))
-    return np.column_stack([key_share, sky_share])
+    return _unhidden(scene, origins, sky, np.maximum(normals @ sky.T, 0.0))
 
 
 def _unhidden(
