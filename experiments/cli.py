@@ -46,9 +46,20 @@ def main() -> None:
 
 def _dispatch() -> None:
     command = choose("command", sys.argv.pop(1), COMMANDS)
+    if command == "report":
+        sys.argv[1:] = with_inputs(sys.argv[1:])
     sys.argv[0] = f"python -m experiments {command}"
     sys.argv += check_overrides(command, sys.argv[1:])
     COMMANDS[command]()
+
+
+def with_inputs(arguments: list[str]) -> list[str]:
+    """Folders among the arguments as the setting `inputs`: ``report results/a results/b``."""
+    folders = [a for a in arguments if "=" not in a and not a.startswith(("-", "~", "+")) and Path(a).is_dir()]
+    if not folders:
+        return arguments
+    quoted = ",".join(f"'{folder}'" for folder in folders)
+    return [a for a in arguments if a not in folders] + [f"inputs=[{quoted}]"]
 
 
 def with_readable_errors(function: Callable[..., None]) -> Callable[..., None]:

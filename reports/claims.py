@@ -118,6 +118,17 @@ def _with_counts(claim: Claim, counts: tuple[int, ...]) -> Claim:
     return Claim(**{f.name: getattr(claim, f.name) for f in fields(Claim)} | {"counts": counts})
 
 
+def compared(claim: Claim) -> str:
+    """What our value is, in words."""
+    if claim.rule in (*LIMITED, "people"):
+        return ""
+    name = "error" if claim.metric == "vertex_l2_mean" else claim.metric.replace("_", " ")
+    if claim.rule == "fades":
+        few, many = claim.counts
+        return f"advantage over {claim.other} with {few} / with {many}"
+    return f"{name} of {claim.method} / of {claim.other}"
+
+
 def judge(
     claims: Sequence[Claim],
     studies: Mapping[str, StudyResults],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -17,13 +17,11 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedFormatter, FixedLocator, NullFormatter, NullLocator
 
 from reports.cells import blocks
-from reports.colors import COLORS, REFERENCE_ROW, method_color
+from reports.colors import REFERENCE_ROW, method_color
 from reports.load import MethodFacts, StudyResults
 from retarget.types import FloatArray
 
 WIDTH = 170 / 25.4  # inches: the text width of the report
-LEGEND_COLUMNS = 5
-MARKERS, HATCHES = ("o", "s", "^"), ("", "/////", ".....")  # of methods beyond the colours
 STYLE: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 7.5,
@@ -57,65 +55,113 @@ def pair_values(study: StudyResults) -> pd.DataFrame:
     return pd.concat(found, ignore_index=True) if found else pd.DataFrame(columns=["method", "n_examples", "value"])
 
 
-def box_plot(study: StudyResults, path: Path) -> None:
-    """Errors grouped by example count, one box per method over pairs, as in Fig. 10; each pair is a dot."""
-    values, methods = pair_values(study), _drawn(study)
-    counts = study.facts["n_examples"]
-    legend = _legend_height(methods)
-    with canvas(path, WIDTH, 2.8 + legend) as figure:
-        axes = figure.add_axes(_above(figure, legend + 0.25))
-        step = 0.84 / max(len(methods), 1)
-        for group, count in enumerate(counts):
+def box_plot(studies: Sequence[StudyResults], names: Sequence[str], path: Path) -> None:
+    """Errors by example count as in Fig. 10: a row per method, a box over pairs per study, each pair a dot.
+
+    One study has its boxes in the colours of its rows; several (`names`, the conditions) in colours of their own.
+    """
+    methods = list({m.name: m for study in studies for m in _drawn(study)}.values())
+    counts = sorted({count for study in studies for count in study.facts["n_examples"]})
+    values = [pair_values(study) for study in studies]
+    row = 0.2 if len(studies) == 1 else 0.07 + 0.105 * len(studies)
+    legend = 0.2 if len(studies) > 1 else 0.0
+    height = 0.2 + row * len(methods) + 0.42 + legend
+    step = 0.84 / len(studies)
+    with canvas(path, WIDTH, height) as figure:
+        panels = _panels(figure, len(counts), bottom=0.42 + legend)
+        shown: list[float] = []
+        for axes, count in zip(panels, counts, strict=True):
             for i, m in enumerate(methods):
-                here = values[(values["method"] == m.name) & (values["n_examples"] == count)]["value"].to_numpy()
-                at = group + (i - (len(methods) - 1) / 2) * step
-                if len(here) == 0:
-                    axes.text(at, 0, "no result", rotation=90, ha="center", va="bottom", fontsize=6, color="#a3216f")
-                    continue
-                _box(axes, at, step * 0.72, here, row_color(study, m), _turn(study, m))
-        for edge in range(1, len(counts)):
-            axes.axvline(edge - 0.5, color="#dddddd", lw=0.6, zorder=0)
-        axes.set_xlim(-0.5, len(counts) - 0.5)
-        axes.set_ylim(0, axes.get_ylim()[1] * 1.03)
-        axes.set_xticks(range(len(counts)), [f"{count} examples" for count in counts], fontsize=8.5)
-        axes.tick_params(axis="x", length=0, pad=5)
-        axes.set_ylabel(error_name(study))
-        axes.grid(axis="y", color="#e6e6e6", lw=0.5)
-        axes.set_axisbelow(True)
-        _legend(figure, study, methods)
+                if i % 2:
+                    axes.axhspan(i - 0.5, i + 0.5, color="#f5f5f5", lw=0, zorder=0)
+                for j, (study, table) in enumerate(zip(studies, values, strict=True)):
+                    here = table[(table["method"] == m.name) & (table["n_examples"] == count)]["value"].to_numpy()
+                    at = i + (j - (len(studies) - 1) / 2) * step
+                    here = here[here > 0]
+                    if len(here) == 0:
+                        _no_result(axes, at)
+                        continue
+                    _box(axes, at, step * 0.74, here, row_color(study, m) if len(studies) == 1 else method_color(j))
+                    if m.kind != "reference":
+                        shown += [float(here.min()), float(here.max())]
+            axes.set_title(f"{count} examples", fontsize=7.5, pad=3)
+        _finish(figure, panels, methods, shown, error_name(studies[0]), legend)
+        if legend:
+            handles = [Patch(facecolor=method_color(j), alpha=0.6, label=name) for j, name in enumerate(names)]
+            figure.legend(handles=handles, loc="lower center", ncols=len(names), frameon=False, borderaxespad=0.1)
 
 
 def example_effect(study: StudyResults, path: Path) -> None:
-    """Mean error with its 95 % interval over the number of examples, on a logarithmic scale that holds the methods."""
+    """Mean error with its 95 % interval over the number of examples: a small plot per method, all others in grey."""
     primary, methods, counts = study.primary, _drawn(study), study.facts["n_examples"]
-    legend = _legend_height(methods)
-    with canvas(path, WIDTH, 2.25 + legend) as figure:
-        axes = figure.add_axes(_above(figure, legend + 0.4))
-        spread = 0.3 / max(len(methods), 1)
-        lows, highs = [], []
-        for i, m in enumerate(methods):
-            rows = primary[primary["method"] == m.name].set_index("n_examples").reindex(counts)
-            mean = rows["mean"].to_numpy(dtype=np.float64)
-            low, high = rows["ci_low"].to_numpy(dtype=np.float64), rows["ci_high"].to_numpy(dtype=np.float64)
-            if not (np.isfinite(mean) & (mean > 0)).any():
-                continue
-            at = np.arange(len(counts)) + (i - (len(methods) - 1) / 2) * spread
+    columns = min(5, len(methods))
+    lines = -(-len(methods) // columns)
+    height = 1.02 * lines + 0.3
+    at = np.arange(len(counts))
+    curves = {}
+    for m in methods:
+        rows = primary[primary["method"] == m.name].set_index("n_examples").reindex(counts)
+        curves[m.name] = rows[["mean", "ci_low", "ci_high"]].to_numpy(dtype=np.float64).T
+    known = [curves[m.name] for m in methods if m.kind != "reference"]
+    positive = [v for mean, low, high in known for v in (*mean, *np.maximum(low, mean / 2), *high) if v > 0]
+    with canvas(path, WIDTH, height) as figure:
+        grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
+        figure.subplots_adjust(
+            left=0.07, right=0.995, bottom=0.36 / height, top=1 - 0.16 / height, wspace=0.08, hspace=0.28
+        )
+        for axes, m in zip(grid.flat, methods, strict=False):
+            for other in methods:
+                if other.kind != "reference":
+                    axes.plot(at, curves[other.name][0], color="#cccccc", lw=0.6, zorder=1)
+            mean, low, high = curves[m.name]
             color = row_color(study, m)
-            style = "--" if m.kind == "reference" else "-"
-            axes.plot(at, mean, style, marker=MARKERS[_turn(study, m)], ms=3, lw=1.0, color=color)
-            axes.vlines(at, low, high, color=color, lw=1.0)
-            if m.kind != "reference":
-                lows.append(np.nanmin(np.where(low > 0, low, mean)))
-                highs.append(np.nanmax(np.where(np.isfinite(high), high, mean)))
-        if lows:
-            log_ticks(axes, "y", float(min(lows)), float(max(highs)))
-        axes.set_xlim(-0.4, len(counts) - 0.6)
-        axes.set_xticks(range(len(counts)), [str(count) for count in counts])
-        axes.set_xlabel("target examples")
-        axes.set_ylabel(error_name(study))
-        axes.grid(axis="y", color="#e6e6e6", lw=0.5)
+            axes.plot(at, mean, "-o", ms=2.6, lw=1.3, color=color, zorder=3)
+            axes.vlines(at, low, high, color=color, lw=1.1, zorder=3)
+            if not np.isfinite(mean).any():
+                axes.text(0.5, 0.5, "no result", transform=axes.transAxes, ha="center", fontsize=6, color="#a3216f")
+            axes.set_title(m.label, fontsize=7, loc="left", pad=2)
+            axes.grid(axis="y", color="#ececec", lw=0.4)
+            axes.set_axisbelow(True)
+        for axes in list(grid.flat)[len(methods) :]:
+            axes.set_visible(False)
+        if positive:
+            log_ticks(grid[0, 0], "y", min(positive), max(positive))
+        for axes in grid.flat:
+            axes.set_xlim(-0.3, len(counts) - 0.7)
+            axes.set_xticks(at, [str(count) for count in counts])
+        for i, axes in enumerate(grid.flat):
+            axes.tick_params(labelbottom=i < len(methods) <= i + columns, labelleft=i % columns == 0, length=2)
+        figure.text(0.53, 0.03 / height, "target examples", ha="center", va="bottom")
+        figure.text(0.004, 0.5, error_name(study), rotation=90, ha="left", va="center")
+
+
+def _panels(figure: Figure, count: int, bottom: float) -> list[Axes]:
+    """Plots side by side that share the names of rows on the left; bottom in inches."""
+    height = figure.get_figheight()
+    panels = figure.subplots(1, count, sharey=True, squeeze=False)[0]
+    figure.subplots_adjust(left=0.2, right=0.99, bottom=bottom / height, top=1 - 0.2 / height, wspace=0.08)
+    return list(panels)
+
+
+def _finish(
+    figure: Figure, panels: Sequence[Axes], methods: Sequence[MethodFacts], shown: list[float], name: str, above: float
+) -> None:
+    """Common logarithmic axes, the names of the rows, and the name of the axis `above` so many inches."""
+    for axes in panels:
+        axes.grid(axis="x", color="#e2e2e2", lw=0.5)
         axes.set_axisbelow(True)
-        _legend(figure, study, methods)
+        axes.tick_params(axis="y", length=0)
+        log_ticks(axes, "x", min(shown, default=0.1), max(shown, default=1.0))
+    panels[0].set_yticks(range(len(methods)), [m.label for m in methods])
+    panels[0].set_ylim(len(methods) - 0.5, -0.5)
+    figure.text(0.595, (0.03 + above) / figure.get_figheight(), name, ha="center", va="bottom")
+
+
+def _no_result(axes: Axes, at: float) -> None:
+    axes.text(
+        0.5, at, "no result", ha="center", va="center", fontsize=6, color="#a3216f",
+        transform=axes.get_yaxis_transform(),
+    )  # fmt: skip
 
 
 def ratio_plot(study: StudyResults, tests: pd.DataFrame, path: Path) -> None:
@@ -125,22 +171,18 @@ def ratio_plot(study: StudyResults, tests: pd.DataFrame, path: Path) -> None:
     """
     values, counts = pair_values(study), study.facts["n_examples"]
     names = [m for m in study.methods if m.name in set(tests["method"])]
+    reference = study.facts["reference"]
     with canvas(path, WIDTH, 0.65 + 0.22 * max(len(names), 1)) as figure:
-        panels = figure.subplots(1, len(counts), sharey=True, squeeze=False)[0]
-        bottom = 0.47 / figure.get_figheight()
-        figure.subplots_adjust(left=0.2, right=0.99, bottom=bottom, top=1 - 0.2 / figure.get_figheight(), wspace=0.08)
-        everything: list[float] = []
+        panels = _panels(figure, len(counts), bottom=0.45)
+        everything: list[float] = [0.9, 1.1]
         for axes, count in zip(panels, counts, strict=True):
             here = values[values["n_examples"] == count]
-            other = here[here["method"] == study.facts["reference"]]["value"].to_numpy()
+            other = here[here["method"] == reference]["value"].to_numpy()
             rows = tests[tests["n_examples"] == count].set_index("method")
             for i, m in enumerate(names):
                 mine = here[here["method"] == m.name]["value"].to_numpy()
                 if m.name not in rows.index or len(mine) == 0 or len(mine) != len(other):
-                    axes.text(
-                        0.5, i, "no result", ha="center", va="center", fontsize=6, color="#a3216f",
-                        transform=axes.get_yaxis_transform(),
-                    )  # fmt: skip
+                    _no_result(axes, i)
                     continue
                 r = rows.loc[m.name]
                 ratios = mine / other
@@ -150,38 +192,26 @@ def ratio_plot(study: StudyResults, tests: pd.DataFrame, path: Path) -> None:
                 everything += [*ratios.tolist(), float(r["ratio_low"]), float(r["ratio_high"])]
             axes.axvline(1, color="#555555", lw=0.7, zorder=0)
             axes.set_title(f"{count} examples", fontsize=7.5, pad=3)
-            axes.grid(axis="x", color="#e6e6e6", lw=0.5)
-            axes.set_axisbelow(True)
-            axes.tick_params(axis="y", length=0)
-        finite = [value for value in everything if np.isfinite(value)] or [1.0]
-        for axes in panels:
-            log_ticks(axes, "x", min(*finite, 0.9), max(*finite, 1.1))
-        panels[0].set_yticks(range(len(names)), [m.label for m in names])
-        panels[0].set_ylim(len(names) - 0.5, -0.5)
-        reference = study.label(study.facts["reference"])
-        figure.text(
-            0.595,
-            0.05 / figure.get_figheight(),
-            f"error / error of {reference}   (left of 1: smaller error)",
-            ha="center",
-            va="bottom",
-        )
+        finite = [value for value in everything if np.isfinite(value) and value > 0]
+        name = f"error / error of {study.label(reference)}   (left of 1: smaller error)"
+        _finish(figure, panels, names, finite, name, 0.0)
 
 
-def _box(axes: Axes, at: float, width: float, values: FloatArray, color: str, turn: int) -> None:
+def _box(axes: Axes, at: float, width: float, values: FloatArray, color: str) -> None:
     axes.boxplot(
         [values],
         positions=[at],
         widths=width,
+        orientation="horizontal",
         showfliers=False,
         patch_artist=True,
-        boxprops={"facecolor": color, "alpha": 0.38, "edgecolor": color, "linewidth": 0.8, "hatch": HATCHES[turn]},
+        boxprops={"facecolor": color, "alpha": 0.38, "edgecolor": color, "linewidth": 0.8},
         medianprops={"color": "#111111", "linewidth": 1.1},
         whiskerprops={"color": color, "linewidth": 0.8},
         capprops={"color": color, "linewidth": 0.8},
         manage_ticks=False,
     )
-    axes.plot(at + width * 0.5 * _spread(len(values)), values, ".", ms=4.0, color=color, alpha=0.8, mew=0)
+    axes.plot(values, at + width * 0.5 * _spread(len(values)), ".", ms=3.0, color=color, alpha=0.8, mew=0)
 
 
 def _spread(count: int) -> FloatArray:
@@ -201,58 +231,11 @@ def row_color(study: StudyResults, method: MethodFacts) -> str:
     return method_color([m.name for m in study.methods if m.kind != "reference"].index(method.name))
 
 
-def _turn(study: StudyResults, method: MethodFacts) -> int:
-    """How often the colours were gone through before this method: it has another marker and hatch then."""
-    if method.kind == "reference":
-        return 0
-    index = [m.name for m in study.methods if m.kind != "reference"].index(method.name)
-    return min(index // COLORS, len(MARKERS) - 1)
-
-
 def error_name(study: StudyResults) -> str:
     metric = study.facts["primary_metric"]
     name = "vertex error, L2" if metric == "vertex_l2_mean" else metric.replace("_", " ")
     units = study.metrics.loc[study.metrics["metric"] == metric, "unit"].unique()
     return f"{name} ({units[0]})" if len(units) else name
-
-
-def _legend_height(methods: list[MethodFacts]) -> float:
-    """Inches."""
-    return 0.1 + 0.17 * -(-len(methods) // LEGEND_COLUMNS)
-
-
-def _above(figure: Figure, bottom: float) -> tuple[float, float, float, float]:
-    """A place for axes that leaves `bottom` inches below."""
-    height = figure.get_figheight()
-    return 0.095, bottom / height, 0.9, 1 - (bottom + 0.08) / height
-
-
-def _legend(figure: Figure, study: StudyResults, methods: list[MethodFacts]) -> None:
-    rows = -(-len(methods) // LEGEND_COLUMNS)
-    columns = -(-len(methods) // max(rows, 1))
-    by_column = [m for column in range(columns) for m in methods[column::columns]]  # matplotlib fills columns first
-    handles = [
-        Patch(
-            facecolor=row_color(study, m),
-            alpha=0.6,
-            edgecolor=row_color(study, m),
-            label=m.label,
-            hatch=HATCHES[_turn(study, m)],
-        )
-        for m in by_column
-    ]
-    figure.legend(
-        handles=handles,
-        loc="lower center",
-        ncols=max(columns, 1),
-        frameon=False,
-        bbox_to_anchor=(0.53, 0.0),
-        handlelength=1.1,
-        handleheight=0.9,
-        columnspacing=1.6,
-        borderpad=0.4,
-        borderaxespad=0,
-    )
 
 
 def log_ticks(axes: Axes, which: str, low: float, high: float) -> None:

@@ -39,6 +39,7 @@ class Sheet:
 class Gathered:
     """What a document is made of, in its order."""
 
+    folders: tuple[Path, ...]
     groups: tuple[tuple[StudyResults, ...], ...]  # studies of one name stand for conditions of one another
     sheets: tuple[Sheet, ...]
     tables: Mapping[str, Mapping[str, pd.DataFrame]] = field(default_factory=dict)  # kind -> study -> summary.csv
@@ -72,7 +73,7 @@ def gather(folders: Sequence[Path]) -> Gathered:
         elif not shown and not (folder / "study.json").exists():
             left_out.append(f"{folder.name}: it keeps no pages of its own; run the study again to have them here.")
         sheets += shown
-    return Gathered(tuple(load(by_name[name]) for name in names), tuple(sheets), tables, tuple(left_out))
+    return Gathered(tuple(found), tuple(load(by_name[name]) for name in names), tuple(sheets), tables, tuple(left_out))
 
 
 def _kind(folder: Path) -> str:

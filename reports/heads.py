@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -28,6 +29,9 @@ _PARTS = {  # named parts of a result, in the order of Figs 12 and 13: label, wh
     "draft": ("sum of both", None),
 }
 _COMPARED = ("lbs", "plbs", "draft")  # parts that are the target's expression and so have an error
+PEERS = ("lbs", "landmark_dt", "sumner_popovic", "ebfr", "alm", "adt", "anacondar")  # of Figs 5 and 6, in order
+_REBUILT = ("anacondar", "plbs", "plbs_residual", "anacondar_paper")  # whose patchwise reconstruction is shown
+_SOURCE_PART = "source_reconstruction"
 _STILL = 0.35  # of the largest motion: a vertex that moves less does not decide how low the picture reaches
 
 
@@ -65,6 +69,7 @@ class HeadPages:
 
     limit_mm: float
     pages: tuple[HeadPage, ...] = ()
+    peers: tuple[HeadPage, ...] = ()  # in the manner of Figs 5 and 6
     parts: tuple[HeadPage, ...] = ()  # of one method
     worst: tuple[HeadRow, ...] = ()
 
@@ -74,21 +79,20 @@ class _Darkroom:
     """Pictures asked for, each once, taken together at the end by a few processes."""
 
     folder: Path
+    prefix: str
     limit: float
     orders: dict[str, tuple[Path, FloatArray, Frames, Camera, tuple[int, int], FloatArray | None, float]] = field(
         default_factory=dict
     )
 
     def order(
-        self,
-        name: str,
-        vertices: FloatArray,
-        frames: Frames,
-        camera: Camera,
-        size: tuple[int, int],
-        error: FloatArray | None,
+        self, vertices: FloatArray, frames: Frames, camera: Camera, size: tuple[int, int], error: FloatArray | None
     ) -> str:
-        file = f"{name}.jpg"
+        """The file of a picture; one that several pages show is taken once."""
+        seen = hashlib.sha256(repr((camera, size)).encode())
+        for array in (vertices, frames.faces, *(() if error is None else (error,))):
+            seen.update(np.ascontiguousarray(array).tobytes())
+        file = f"{self.prefix}-{seen.hexdigest()[:20]}.jpg"
         self.orders.setdefault(file, (self.folder / file, vertices, frames, camera, size, error, self.limit))
         return file
 
@@ -112,39 +116,77 @@ def render_heads(study: StudyResults, folder: Path, prefix: str, expressions: in
     counts = sorted({c.n_examples for c in cells})
     first = next((c for c in cells if c.method == study.facts["reference"]), cells[0])
     limit = nice(max((float(np.nanquantile(_errors(c), 0.97)) for c in cells if c.method != "neutral"), default=1.0))
-    darkroom = _Darkroom(folder, limit)
+    darkroom = _Darkroom(folder, prefix, limit)
     shown = [m for m in study.methods if m.name != "neutral"]
-    parts = [shown[i : i + _COLUMNS] for i in range(0, len(shown), _COLUMNS)]
-    pages = tuple(
-        _page(study, darkroom, prefix, first, count, expressions, part)
-        for count in dict.fromkeys((counts[0], counts[-1]))
-        for part in parts
-    )
-    part_pages = tuple(_part_pages(study, darkroom, prefix, first, expressions))
-    worst = tuple(_worst(study, darkroom, prefix, cells))
+    split = max(-(-len(shown) // _COLUMNS), 1)
+    parts = [shown[len(shown) * i // split : len(shown) * (i + 1) // split] for i in range(split)]
+    kept = tuple(dict.fromkeys((counts[0], counts[-1])))
+    pages = tuple(_page(study, darkroom, first, count, expressions, part) for count in kept for part in parts)
+    peers = tuple(page for count in kept for page in _peer_page(study, darkroom, first, count, expressions))
+    part_pages = tuple(_part_pages(study, darkroom, first, expressions))
+    worst = tuple(_worst(study, darkroom, cells))
     darkroom.develop()
-    return HeadPages(limit, pages, part_pages, worst)
+    return HeadPages(limit, pages, peers, part_pages, worst)
+
+
+def _at(study: StudyResults, first: FigureCell, count: int) -> dict[str, FigureCell]:
+    """The kept cells of one pair, draw and example count by method."""
+    at = (first.source, first.target, count, first.draw)
+    return {c.method: c for c in study.figure_cells if (c.source, c.target, c.n_examples, c.draw) == at}
+
+
+def _peer_page(
+    study: StudyResults, room: _Darkroom, first: FigureCell, count: int, expressions: int
+) -> Iterator[HeadPage]:
+    """Figs 5 and 6: source, its patchwise reconstruction with what that misses, the peers, the truth; results plain.
+
+    On the ADT result lies its distance from the AnaConDaR result. Nothing for a study with fewer than two peers.
+    """
+    chosen = [m for name in PEERS for m in study.methods if m.name == name]
+    if len(chosen) < 2:
+        return
+    shown = _at(study, first, count)
+    frames = first.frames
+    camera = _camera(frames, SIZE)
+    rebuilt = next((shown[n].frames for n in _REBUILT if n in shown and _SOURCE_PART in shown[n].frames.parts), None)
+    rows = []
+    for t in lively(frames, expressions):
+        heads = [Head(f"source {first.source}", room.order(frames.source[t], frames, camera, SIZE, None))]
+        if rebuilt is not None:
+            skin = rebuilt.parts[_SOURCE_PART][t]
+            missed = frames.distance(skin, frames.source[t])
+            image = room.order(skin, frames, camera, SIZE, missed)
+            heads.append(Head("source rebuilt", image, number(float(np.nanmean(missed)), 2)))
+        for m in chosen:
+            if m.name not in shown:
+                heads.append(Head(m.label, None, "no result"))
+                continue
+            mine, apart = shown[m.name].frames, None
+            if m.name == "adt" and "anacondar" in shown:
+                apart = frames.distance(mine.retargeted[t], shown["anacondar"].frames.retargeted[t])
+            image = room.order(mine.retargeted[t], frames, camera, SIZE, apart)
+            heads.append(Head(m.label, image, number(float(np.nanmean(mine.error(t))), 2)))
+        heads.append(Head(f"truth {first.target}", room.order(frames.truth[t], frames, camera, SIZE, None)))
+        rows.append(HeadRow(frames.expressions[t], tuple(heads)))
+    yield HeadPage(first.source, first.target, count, first.draw, tuple(rows))
 
 
 def _page(
     study: StudyResults,
     room: _Darkroom,
-    prefix: str,
     first: FigureCell,
     count: int,
     expressions: int,
     methods: Sequence[MethodFacts],
 ) -> HeadPage:
-    at = (first.source, first.target, count, first.draw)
-    shown = {c.method: c for c in study.figure_cells if (c.source, c.target, c.n_examples, c.draw) == at}
+    shown = _at(study, first, count)
     frames = first.frames
     camera = _camera(frames, SIZE)
     rows = []
     for t in lively(frames, expressions):
-        name = f"{prefix}-{first.source}-{first.target}-{first.draw}-{t}"
         heads = [
-            Head(f"source {first.source}", room.order(f"{name}-source", frames.source[t], frames, camera, SIZE, None)),
-            Head(f"truth {first.target}", room.order(f"{name}-truth", frames.truth[t], frames, camera, SIZE, None)),
+            Head(f"source {first.source}", room.order(frames.source[t], frames, camera, SIZE, None)),
+            Head(f"truth {first.target}", room.order(frames.truth[t], frames, camera, SIZE, None)),
         ]
         for m in methods:
             if m.name not in shown:
@@ -152,15 +194,13 @@ def _page(
                 continue
             mine = shown[m.name].frames
             error = mine.error(t)
-            image = room.order(f"{name}-{m.name}-{count}", mine.retargeted[t], mine, camera, SIZE, error)
+            image = room.order(mine.retargeted[t], mine, camera, SIZE, error)
             heads.append(Head(m.label, image, number(float(np.nanmean(error)), 2)))
         rows.append(HeadRow(frames.expressions[t], tuple(heads)))
     return HeadPage(first.source, first.target, count, first.draw, tuple(rows))
 
 
-def _part_pages(
-    study: StudyResults, room: _Darkroom, prefix: str, first: FigureCell, expressions: int
-) -> Iterator[HeadPage]:
+def _part_pages(study: StudyResults, room: _Darkroom, first: FigureCell, expressions: int) -> Iterator[HeadPage]:
     """What became of an expression on its way through one method, at each example count."""
     name = study.facts.get("parts")
     for cell in study.figure_cells:
@@ -171,25 +211,23 @@ def _part_pages(
         camera = _camera(frames, SIZE)
         rows = []
         for t in lively(frames, expressions):
-            own = f"{prefix}-{cell.source}-{cell.target}-{cell.draw}-{t}"
-            mine = f"{own}-{cell.method}-{cell.n_examples}"
-            heads = [Head("source", room.order(f"{own}-source", frames.source[t], frames, camera, SIZE, None))]
+            heads = [Head("source", room.order(frames.source[t], frames, camera, SIZE, None))]
             for part, (label, base) in _PARTS.items():
                 if part not in frames.parts:
                     continue
                 shown = frames.parts[part] + (getattr(frames, base) if base else 0.0)
                 error = frames.error(t, shown) if part in _COMPARED else None
-                image = room.order(f"{mine}-{part}", shown[t], frames, camera, SIZE, error)
+                image = room.order(shown[t], frames, camera, SIZE, error)
                 heads.append(Head(label, image, "" if error is None else number(float(np.nanmean(error)), 2)))
             error = frames.error(t)
-            image = room.order(mine, frames.retargeted[t], frames, camera, SIZE, error)
+            image = room.order(frames.retargeted[t], frames, camera, SIZE, error)
             heads.append(Head("result", image, number(float(np.nanmean(error)), 2)))
-            heads.append(Head("truth", room.order(f"{own}-truth", frames.truth[t], frames, camera, SIZE, None)))
+            heads.append(Head("truth", room.order(frames.truth[t], frames, camera, SIZE, None)))
             rows.append(HeadRow(frames.expressions[t], tuple(heads)))
         yield HeadPage(cell.source, cell.target, cell.n_examples, cell.draw, tuple(rows))
 
 
-def _worst(study: StudyResults, room: _Darkroom, prefix: str, cells: Sequence[FigureCell]) -> Iterator[HeadRow]:
+def _worst(study: StudyResults, room: _Darkroom, cells: Sequence[FigureCell]) -> Iterator[HeadRow]:
     for m in study.methods:
         mine = [c for c in cells if c.method == m.name]
         if m.kind == "reference" or not mine:
@@ -197,16 +235,14 @@ def _worst(study: StudyResults, room: _Darkroom, prefix: str, cells: Sequence[Fi
         cell, t = max(((c, t) for c in mine for t in range(len(c.frames.truth))), key=lambda ct: _mean(*ct))
         frames = cell.frames
         camera = _camera(frames, SIZE)
-        name = f"{prefix}-{cell.source}-{cell.target}-{cell.draw}-{t}"
         error = frames.error(t)
-        own = f"{name}-{m.name}-{cell.n_examples}"
         heads = (
-            Head("source", room.order(f"{name}-source", frames.source[t], frames, camera, SIZE, None)),
-            Head("truth", room.order(f"{name}-truth", frames.truth[t], frames, camera, SIZE, None)),
-            Head("result", room.order(f"{own}-plain", frames.retargeted[t], frames, camera, SIZE, None)),
+            Head("source", room.order(frames.source[t], frames, camera, SIZE, None)),
+            Head("truth", room.order(frames.truth[t], frames, camera, SIZE, None)),
+            Head("result", room.order(frames.retargeted[t], frames, camera, SIZE, None)),
             Head(
                 "error",
-                room.order(own, frames.retargeted[t], frames, camera, SIZE, error),
+                room.order(frames.retargeted[t], frames, camera, SIZE, error),
                 number(float(np.nanmean(error)), 2),
             ),
         )

@@ -82,10 +82,13 @@ class Frames:
     def error(self, frame: int, of: NDArray[np.floating[Any]] | None = None) -> FloatArray:
         """(n,) vertex L2 in mm on the head, NaN elsewhere; of the result, or of other frames (t, n, 3) mm."""
         shown = self.retargeted if of is None else of
-        error = np.full(len(self.target_neutral), np.nan)
-        difference = shown[frame, self.head].astype(np.float64) - self.truth[frame, self.head]
-        error[self.head] = np.linalg.norm(difference, axis=1)
-        return error
+        return self.distance(shown[frame], self.truth[frame])
+
+    def distance(self, one: NDArray[np.floating[Any]], other: NDArray[np.floating[Any]]) -> FloatArray:
+        """(n,) distance in mm of two meshes (n, 3) mm on the head, NaN elsewhere."""
+        distance = np.full(len(self.target_neutral), np.nan)
+        distance[self.head] = np.linalg.norm(one[self.head].astype(np.float64) - other[self.head], axis=1)
+        return distance
 
 
 @dataclass(frozen=True)

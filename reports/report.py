@@ -6,7 +6,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,57 +19,139 @@ import typst
 from matplotlib.colors import to_hex
 
 from reports import figures, tables
+from reports.claims import Judged, Status, compared, judge, read_claims
 from reports.colors import ERROR_COLORMAP
 from reports.findings import conditions, favours, findings
+from reports.folders import Gathered, Sheet, gather
 from reports.heads import HeadPages, render_heads
-from reports.load import StudyResults, load
-from reports.ordering import Ordering, overview
+from reports.limits import limits
+from reports.load import StudyResults
+from reports.method_pages import patch_figure, structure_figure
+from reports.ordering import SANITY, Ordering, overview
 from reports.ordering_plot import ordering_plot
 from reports.page import write_page
+from reports.sheet import pictures
 from reports.statistics import REPLICATES, benjamini_hochberg
 from reports.summary import paired_tests, region_tests
 from retarget.check import InvalidInput
 from retarget.io.files import write_whole
 
-_TEMPLATE = Path(__file__).with_name("template.typ")
+_TEMPLATES = tuple(Path(__file__).with_name(name) for name in ("template.typ", "blocks.typ"))
+_NEVER = "1970-01-01T00:00:00+00:00"
 _SIGNIFICANT = 0.05
 
 
 def build_report(
     folders: Sequence[Path], output: Path | None = None, progress: Callable[[str], None] = lambda line: None
 ) -> Path:
-    """Write one PDF about one or several results folders, and a page beside it (`reports.page`); returns its path.
+    """Write one PDF about results folders of one or several kinds, and pages beside it; returns the PDF's path.
 
+    The page (`reports.page`) of the only comparison has the PDF's name; of several, that and the study's name.
     Without an output it is report.pdf in the folder itself, or in the folder that holds all of them. The file is
     moved into place when it is whole. Raises InvalidInput for folders that cannot be read, or an output that cannot
     be written.
     """
-    studies = load(folders)
-    path = Path(output) if output is not None else _default_output(studies)
+    gathered = gather(folders)
+    path = Path(output) if output is not None else _default_output(gathered.folders)
     if path.suffix == ".html":
         raise InvalidInput(f"output: expected the path of the PDF, got {path}; the page is written beside it.")
     with tempfile.TemporaryDirectory(prefix="report-") as name:
         work = Path(name)
-        content = describe(studies, work, progress)
+        content = describe(gathered, work, progress)
         progress("typesetting")
         pdf = cast(bytes, typeset(content, work))
     write_whole(path, lambda temporary: temporary.write_bytes(pdf))
     progress("page")
-    write_page(path.with_suffix(".html"), content, studies)
+    for chapter, group in zip(content["chapters"], gathered.groups, strict=True):
+        own = f"{path.stem}-{chapter['name']}" if len(gathered.groups) > 1 else path.stem
+        write_page(path.with_name(f"{own}.html"), chapter, group)
     return path
 
 
-def describe(studies: Sequence[StudyResults], work: Path, progress: Callable[[str], None]) -> dict[str, Any]:
+def describe(gathered: Gathered, work: Path, progress: Callable[[str], None]) -> dict[str, Any]:
     """Everything the template prints, as plain data; pictures are written into the folder `work`."""
-    first = studies[0]
+    studies = [study for group in gathered.groups for study in group]
+    chapters = [_chapter(group, work, i, progress) for i, group in enumerate(gathered.groups)]
+    progress("published claims")
+    titles = [chapter["title"] for chapter in chapters] + [sheet.title for sheet in gathered.sheets]
+    structure_figure(work / "structure.svg")
     return {
-        "title": first.facts["title"],
-        "description": " ".join(str(first.facts["description"]).split()),
-        "finished": max(str(s.facts["provenance"]["finished"]) for s in studies),
-        "correspondences": tables.correspondence_rows(studies, int(first.facts["provenance"]["seed"])),
-        "studies": [_study(study, work, f"study{i}", progress) for i, study in enumerate(studies)],
-        "overview": _overview(studies, work),
+        "title": titles[0] if len(titles) == 1 else "Retargeting methods, evaluated",
+        "description": _description(gathered) if len(titles) == 1 else f"{len(titles)} studies: {'; '.join(titles)}.",
+        "finished": max((str(s.facts["provenance"]["finished"]) for s in studies), default=_NEVER),
+        "chapters": chapters,
+        "sheets": [_sheet(sheet, work, i) for i, sheet in enumerate(gathered.sheets)],
+        "claims": _claims(gathered),
+        "patches": next((p for i, s in enumerate(studies) if (p := patch_figure(s, work, f"patches{i}"))), None),
+        "limits": list(limits(gathered)),
         "colors": [to_hex(ERROR_COLORMAP(x)) for x in np.linspace(0, 1, 11)],
+    }
+
+
+def _description(gathered: Gathered) -> str:
+    said = gathered.groups[0][0].facts["description"] if gathered.groups else gathered.sheets[0].description
+    return " ".join(str(said).split())
+
+
+def _chapter(group: Sequence[StudyResults], work: Path, number: int, progress: Callable[[str], None]) -> dict[str, Any]:
+    """The studies of one name: one, or the conditions of one another."""
+    facts = group[0].facts
+    seed = int(facts["provenance"]["seed"])
+    box = f"box{number}.svg"
+    progress("plots")
+    figures.box_plot(group, [study.differs for study in group], work / box)
+    return {
+        "name": str(facts["study"]),
+        "title": facts["title"],
+        "description": " ".join(str(facts["description"]).split()),
+        "box": box,
+        "correspondences": tables.correspondence_rows(group, seed),
+        "studies": [_study(study, work, f"study{number}-{i}", progress) for i, study in enumerate(group)],
+        "overview": _overview(group, work, f"ordering{number}.svg"),
+    }
+
+
+def _sheet(sheet: Sheet, work: Path, number: int) -> dict[str, Any]:
+    """A sheet as the template prints it; its pictures are copied into a folder of `work`."""
+    folder = f"sheet{number}/"
+    blocks = [block if isinstance(block, Mapping) else asdict(block) for block in sheet.blocks]
+    if sheet.folder is not None:
+        (work / folder).mkdir()
+        for name in pictures(blocks):
+            shutil.copy(sheet.folder / name, work / folder / name)
+    return {
+        "study": sheet.study, "title": sheet.title, "description": sheet.description, "blocks": blocks,
+        "folder": folder,
+    }  # fmt: skip
+
+
+def _claims(gathered: Gathered) -> dict[str, Any]:
+    """Published claims with what each study says of them; those without any value apart."""
+    named = {
+        f"{study.facts['study']}{f', {study.differs}' if len(group) > 1 else ''}": study
+        for group in gathered.groups
+        for study in group
+        if study.facts["dataset"]["truth"] not in SANITY
+    }
+    judged = judge(read_claims(), named, gathered.tables)
+    return {
+        "several": len(named) > 1,
+        "counts": {status.value: sum(j.status == status for j in judged) for status in Status},
+        "shown": [_claim(j) for j in judged if any(v.study for v in j.verdicts)],
+        "untested": [_claim(j) for j in judged if not any(v.study for v in j.verdicts)],
+    }
+
+
+def _claim(judged: Judged) -> dict[str, Any]:
+    claim = judged.claim
+    return {
+        "section": claim.section,
+        "says": claim.says,
+        "counts": claim.counts,
+        "published": claim.published,
+        "status": judged.status.value,
+        "compared": compared(claim),
+        "verdicts": [asdict(verdict) for verdict in judged.verdicts],
     }
 
 
@@ -78,9 +160,10 @@ def typeset(
 ) -> bytes | list[bytes]:
     """Compile the template in the folder `work`, which holds the pictures; bytes, for "png" one per page."""
     (work / "content.json").write_text(json.dumps(content, default=lambda value: value.item()), encoding="utf-8")
-    shutil.copy(_TEMPLATE, work / "template.typ")
+    for template in _TEMPLATES:
+        shutil.copy(template, work / template.name)
     compiled = typst.compile(
-        str(work / "template.typ"),
+        str(work / _TEMPLATES[0].name),
         root=str(work),
         format=format,
         ppi=ppi,
@@ -103,8 +186,6 @@ def _study(study: StudyResults, work: Path, prefix: str, progress: Callable[[str
     secondary = paired_tests(rows[rows["region"] == region], facts["reference"], others, metric, region, seed)
     secondary["adjusted"] = benjamini_hochberg(secondary["p"])
     everyone = pd.concat([table for table in (primary, secondary) if len(table)] or [primary], ignore_index=True)
-    progress("plots")
-    figures.box_plot(study, work / f"{prefix}-box.svg")
     figures.example_effect(study, work / f"{prefix}-examples.svg")
     if len(everyone):
         figures.ratio_plot(study, everyone, work / f"{prefix}-ratio.svg")
@@ -140,7 +221,6 @@ def _study(study: StudyResults, work: Path, prefix: str, progress: Callable[[str
         ],
         "measures": tables.measure_rows(study, seed),
         "parts": study.label(str(facts.get("parts"))),
-        "box": f"{prefix}-box.svg",
         "examples": f"{prefix}-examples.svg" if len(facts["n_examples"]) > 1 else None,
         "ratio": f"{prefix}-ratio.svg" if len(everyone) else None,
         "regions": regions,
@@ -201,18 +281,18 @@ def _heads(heads: HeadPages | None) -> dict[str, Any] | None:
     return None if heads is None else asdict(heads)
 
 
-def _overview(studies: Sequence[StudyResults], work: Path) -> dict[str, Any] | None:
-    """The order of methods under each condition, side by side, where the report covers several."""
+def _overview(studies: Sequence[StudyResults], work: Path, plot: str) -> dict[str, Any] | None:
+    """The order of methods under each condition, side by side, where there are several."""
     if len(studies) < 2:
         return None
     ordering = Ordering(studies)
-    ordering_plot(ordering, work / "ordering.svg")
-    return overview(ordering) | {"plot": "ordering.svg"}
+    ordering_plot(ordering, work / plot)
+    return overview(ordering) | {"plot": plot}
 
 
-def _default_output(studies: Sequence[StudyResults]) -> Path:
-    parents = [study.folder.resolve() for study in studies]
-    return Path(os.path.commonpath(parents)) / "report.pdf" if len(parents) > 1 else studies[0].folder / "report.pdf"
+def _default_output(folders: Sequence[Path]) -> Path:
+    parents = list(dict.fromkeys(folder.resolve() for folder in folders))
+    return Path(os.path.commonpath(parents)) / "report.pdf"
 
 
 def _time(text: str) -> datetime:

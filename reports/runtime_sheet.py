@@ -62,8 +62,9 @@ def runtime_blocks(summary: pd.DataFrame) -> list[Table]:
     )
     caption = (
         f"Medians over {expressions} expressions of an animation, one at a time: two inverse and two forward "
-        f"simulations each (section 4.1). Template: {template}; {compared}. Published rates are of another machine, an AMD Ryzen "
-        "Threadripper PRO 3995WX. The paper states no memory. The soft target is that of eq. (13)."
+        f"simulations each (section 4.1). Template: {template}; {compared}. Published rates are of another "
+        "machine, an AMD Ryzen Threadripper PRO 3995WX. The paper states no memory. "
+        "The soft target is that of eq. (13)."
     )
     return [Table(heads, tuple(rows), caption)]
 

@@ -15,8 +15,9 @@ from pypdf import PdfReader
 
 from reports import figures, heads, report
 from reports.findings import findings, supported
+from reports.folders import gather
 from reports.load import load
-from reports.report import build_report
+from reports.report import build_report, describe, typeset
 from reports.summary import paired_tests
 from reports.tables import correspondence_rows, measure_rows, region_rows, solve_rows
 from retarget.check import InvalidInput
@@ -24,7 +25,17 @@ from tests.reports.example_study import FAMILY, write_example_study
 
 
 def _pages(path: Path) -> list[str]:
-    reader = PdfReader(io.BytesIO(path.read_bytes()))
+    return _pages_of(path.read_bytes())
+
+
+def _work(folder: Path) -> Path:
+    (folder / "work").mkdir()
+    return folder / "work"
+
+
+def _pages_of(pdf: object) -> list[str]:
+    assert isinstance(pdf, bytes)
+    reader = PdfReader(io.BytesIO(pdf))
     return [" ".join(page.extract_text().split()) for page in reader.pages]
 
 
@@ -54,8 +65,12 @@ def test_every_part_is_there(pages: list[str]) -> None:
     for words in (
         "Quantitative comparison on synthesised ground truth",
         "favours linear methods",
-        "Heads: 5 examples, person_00 to person_01",
-        "Heads: 30 examples",
+        "Errors on heads: 5 examples, person_00 to person_01",
+        "Errors on heads: 30 examples",
+        "The peer group with 5 examples",
+        "Published claims beside ours",
+        "Structure of the methods",
+        "What this evaluation cannot show",
         "The worst expression of each method",
         "p sources",
         "plbs residual (control)",
@@ -75,8 +90,8 @@ def test_every_part_is_there(pages: list[str]) -> None:
         "regularisation = 0.001",
     ):
         assert words in text, words
-    assert len(pages) == 9
-    for words in ("synthetic.", "cranium", "real recordings", "Failures", "None"):
+    assert len(pages) == 12
+    for words in ("synthetic.", "cranium", "real recordings", "Failures", "None, "):
         assert words not in text, words
 
 
@@ -94,7 +109,7 @@ def test_failed_and_unsupported_cells_are_shown(pages: list[str]) -> None:
     assert "LinAlgError: the matrix of patch 17 is singular" in text
     assert "24 of 24" in text
     assert "2 of 24" in text
-    assert "no result" in next(page for page in pages if "Heads: 30 examples" in page)
+    assert "no result" in next(page for page in pages if "Errors on heads: 30 examples" in page)
 
 
 def test_the_same_results_give_the_same_bytes(folder: Path, tmp_path: Path) -> None:
@@ -290,3 +305,58 @@ def test_the_parts_of_a_method_get_pages(tmp_path: Path) -> None:
     assert [head.caption for head in shown[:3]] == ["", "1.73", ""]
     assert all((tmp_path / str(head.image)).exists() for head in shown)
     assert "Parts of plbs residual: 5 examples" in " ".join(_pages(build_report([folder])))
+
+
+def test_another_kind_of_study_is_a_part_of_the_document(folder: Path, tmp_path: Path) -> None:
+    runtime = tmp_path / "runtime"
+    runtime.mkdir()
+    for name in ("frames.csv", "method.csv"):
+        (runtime / name).write_text("a\n1\n")
+    (runtime / "summary.csv").write_text(
+        "surface,expressions,expressions_per_s,expressions_per_s_collisions,setup_seconds,template\n"
+        "soft,60,11.5,2.0,3.0,paper\n"
+    )
+    gathered = gather([folder, runtime])
+    assert [len(group) for group in gathered.groups] == [1]
+    assert list(gathered.tables["runtime"]) == ["runtime"]
+    content = describe(gathered, _work(tmp_path), lambda line: None)
+    assert [sheet["study"] for sheet in content["sheets"]] == ["runtime"]
+    assert ("expressions per second", "10", "11.5") in content["sheets"][0]["blocks"][0]["rows"]
+    shown = {claim["says"]: claim["status"] for claim in content["claims"]["shown"]}
+    assert shown["About 10 expressions per second without resolving collisions."] == "reproduced"
+    text = " ".join(_pages_of(typeset(content, tmp_path / "work")))
+    assert "Expressions per second" in text
+    assert "Threadripper" in text
+
+
+def test_a_study_of_one_method_and_one_pair_says_that_nothing_is_testable(tmp_path: Path) -> None:
+    folder = write_example_study(tmp_path / "one", identities=2, draws=1, failures=False)
+    for name in ("metrics.parquet", "cells.parquet"):
+        table = pd.read_parquet(folder / name)
+        alone = (table["method"] == "plbs") & (table["source"] == "person_00")
+        table[alone].to_parquet(folder / name)
+    summary = pd.read_csv(folder / "summary.csv")
+    summary[summary["method"] == "plbs"].to_csv(folder / "summary.csv", index=False)
+    facts = json.loads((folder / "study.json").read_text())
+    facts["methods"] = [method for method in facts["methods"] if method["name"] == "plbs"]
+    (folder / "study.json").write_text(json.dumps(facts))
+    for frames in folder.glob("*/frames.npz"):
+        frames.unlink()
+    text = " ".join(_pages(build_report([folder])))
+    assert "nothing is testable" in text
+    assert "No method of the primary family could be compared." in text
+
+
+def test_folders_without_results_or_with_broken_sheets_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="expected a results folder"):
+        gather([tmp_path])
+    sheet = tmp_path / "study" / "page.sheet"
+    sheet.mkdir(parents=True)
+    for text, words in (("{", "expected the content"), ('{"schema": 9}', "schema 9"), ('{"schema": 1}', "blocks")):
+        (sheet / "content.json").write_text(text)
+        with pytest.raises(InvalidInput, match=words):
+            gather([tmp_path])
+    block = {"kind": "grid", "rows": [{"pictures": [{"file": "gone.jpg"}]}]}
+    (sheet / "content.json").write_text(json.dumps({"schema": 1, "blocks": [block]}))
+    with pytest.raises(InvalidInput, match=r"gone.jpg.*missing"):
+        gather([tmp_path])
