@@ -58,7 +58,7 @@ class Case:
     shapes: Examples  # those that move most first
     true_shapes: FloatArray  # (k, n, 3) mm of the target, without the scanner's noise
     names: tuple[str, ...]  # of the shapes
-    span: FloatArray  # (N, n, 3) mm of the source
+    span: FloatArray  # (N, n, 3) mm: the animation, all expressions of the source
     tests: tuple[str, ...]
     frames: FloatArray  # (t, n, 3) mm of the source
     truth: FloatArray  # (t, n, 3) mm of the target
@@ -107,7 +107,7 @@ def cases(study: AlmStudy, dataset: Dataset) -> Iterator[Case]:
             Examples(dataset.scanned(target, known), shown[moving]),
             dataset.frames(target, known),
             tuple(dataset.expressions[i] for i in known),
-            shown,
+            dataset.scanned(source, range(len(dataset.expressions))),
             tuple(dataset.expressions[i] for i in drawn.test),
             dataset.scanned(source, drawn.test),
             dataset.frames(target, drawn.test),
