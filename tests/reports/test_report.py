@@ -36,7 +36,7 @@ def _work(folder: Path) -> Path:
 def _pages_of(pdf: object) -> list[str]:
     assert isinstance(pdf, bytes)
     reader = PdfReader(io.BytesIO(pdf))
-    return [" ".join(page.extract_text().split()) for page in reader.pages]
+    return [" ".join(page.extract_text().replace("\u200b", "").split()) for page in reader.pages]
 
 
 @pytest.fixture(scope="module", autouse=True)
