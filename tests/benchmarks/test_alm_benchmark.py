@@ -17,7 +17,7 @@ from tests.benchmarks.test_methods_benchmark import perform, sphere_grid
 
 SHAPES = 19  # and the neutral
 PATCHES = 400
-SIZES = {"95,002 vertices, 6 rings": (250, 380, 6), "17,002 vertices, 2 rings": (100, 170, 2)}
+SIZES = {"95,002 vertices, 6 rings": (250, 380, 6), "17,002 vertices, 3 rings": (100, 170, 3)}
 FIT = PatchFitSettings(lambda_reg=35.0, lambda_overlap=100.0, residual="sum")
 
 
