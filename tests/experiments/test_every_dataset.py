@@ -7,7 +7,6 @@ import tarfile
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 from hydra.utils import instantiate
@@ -82,10 +81,11 @@ def compared(settings: Sequence[str], folder: Path) -> pd.DataFrame:
 def check(table: pd.DataFrame, *, additive: bool = False) -> None:
     """All methods answer, and none is the truth unless it owns it."""
     assert (table["status"] == "ok").all(), table
-    rows = table.loc[["delta", "lbs", "landmark_dt"], "mm"]
-    assert (rows < table.loc["neutral", "mm"] * 2).all(), table
-    assert (rows.drop("delta") > 0.01).all(), table
-    assert rows["delta"] < 1e-9 if additive else rows["delta"] > 0.01
+    errors = {str(method): float(error) for method, error in table["mm"].items()}
+    assert all(errors[method] < 2 * errors["neutral"] for method in ("delta", "lbs", "landmark_dt")), table
+    assert errors["lbs"] > 0.01
+    assert errors["landmark_dt"] > 0.01
+    assert errors["delta"] < 1e-9 if additive else errors["delta"] > 0.01
 
 
 @pytest.mark.parametrize(
@@ -115,8 +115,8 @@ def test_without_regions_a_method_that_needs_them_is_unsupported_and_says_why(ba
         "anacondar": "regions",
     }.items():
         assert table.loc[method, "status"] == "unsupported"
-        assert reason in table.loc[method, "reason"]
-        assert np.isnan(table.loc[method, "mm"])
+        assert reason in str(table.loc[method, "reason"])
+    assert table.loc[["landmark_dt", "adt", "alm", "anacondar"], "mm"].isna().all()
 
 
 def test_settings_are_tuned_on_a_folder_of_meshes(scans: list[str], tmp_path: Path) -> None:
