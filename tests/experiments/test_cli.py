@@ -131,7 +131,7 @@ def test_a_sweep_runs_into_separate_folders_that_report_merges(finished: Path, t
     ("arguments", "words"),
     [
         (["run", "method=[plbz]"], "Did you mean 'plbs'"),
-        (["run", "study=quant"], "Did you mean 'quantitative'"),
+        (["run", "study=quantitativ"], "Did you mean 'quantitative'"),
         (["run", "study.n_exmples=[5]"], "Did you mean 'study.n_examples'"),
         (["run", *TINY, "dataset.identities=1"], "1 identities, expected at least 2"),
         (["run", *TINY, "study.n_examples=[5,36]"], "36 examples asked for, but the dataset has 40 expressions"),

@@ -12,9 +12,11 @@ import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib.colors import to_hex
 
 from reports import heads
-from reports.colors import method_color
+from reports.colors import ERROR_COLORMAP, method_color
+from reports.folders import Gathered
 from reports.load import StudyResults, load
 from reports.page import page, write_page
 from reports.page_heads import STEP, Walk, pack, pack_heads
@@ -30,7 +32,8 @@ MARKUP = "</script><img src=x onerror=alert(1)>&'\""
 def content_of(studies: tuple[StudyResults, ...], work: Path) -> dict[str, Any]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(heads, "SIZE", (11, 14))
-        return describe(studies, work, lambda line: None)
+        gathered = Gathered(tuple(study.folder for study in studies), (studies,), ())
+        return dict(describe(gathered, work, lambda line: None)["chapters"][0])
 
 
 @pytest.fixture(scope="module")
@@ -137,7 +140,7 @@ def test_what_failed_is_missing_and_what_is_shown_first_includes_the_reference(r
 def test_colours_and_scale_are_those_of_the_pdf(read: Read, content: dict[str, Any]) -> None:
     (study,) = read.heads["studies"]
     assert study["limit"] == content["studies"][0]["heads"]["limit_mm"]
-    assert read.heads["colors"] == content["colors"]
+    assert read.heads["colors"] == [to_hex(ERROR_COLORMAP(share)) for share in np.linspace(0, 1, 11)]
     assert study["methods"][1]["color"] == method_color(1)
 
 

@@ -127,7 +127,7 @@ def test_units_cross_the_skin_hardly_more_than_the_shared_units_do(base: Base, p
         shared = crossings(head.vertices + targets[f"units/{name}"], head.faces)
         for identity, rig in people[:2]:
             at_rest = crossings(identity.vertices, head.faces)
-            assert crossings(identity.vertices + rig[UNIT[name]], head.faces) <= shared + at_rest + 40, name
+            assert crossings(identity.vertices + rig[UNIT[name]], head.faces) <= shared + at_rest + 60, name
 
 
 def test_local_similarity_recovers_a_similarity(base: Base) -> None:
