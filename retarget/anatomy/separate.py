@@ -60,7 +60,8 @@ def separate(vertices: FloatArray, faces: IntArray, regions: Regions) -> FloatAr
 def lip_parting(vertices: FloatArray, faces: IntArray, regions: Regions) -> FloatArray:
     """(n,) how far each vertex of the head (n, 3) mm moves up when lips part by 1 mm each.
 
-    1 at the upper lip, -1 at the lower one, 0 at the corners and away from the mouth. Raises InvalidInput where a loop or set is missing.
+    1 at the upper lip, -1 at the lower one, 0 at the corners and away from the mouth. Raises InvalidInput where a loop
+    or set is missing.
     """
     return _apart(vertices, faces, regions, *LIPS)[0]
 
