@@ -9,19 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import platformdirs
 
 from retarget.check import InvalidInput
-from retarget.io.files import write_whole
+from retarget.io.files import cache_folder, write_whole
 from retarget.types import FloatArray, IntArray
 
 FOLDER = "truth"
 LARGEST = 2 * 2**30  # bytes that the folder may hold; what was not read for longest goes first
-
-
-def default_cache() -> Path:
-    """The user's cache folder of this project."""
-    return Path(platformdirs.user_cache_dir("anacondar"))
 
 
 def fingerprint(parts: Iterable[str | bytes | FloatArray | IntArray]) -> str:
@@ -46,7 +40,7 @@ class ArrayCache:
     @classmethod
     def of(cls, cache: str | Path | None) -> ArrayCache:
         """In the folder `cache`, by default the user's."""
-        return cls((default_cache() if cache is None else Path(cache).expanduser()) / FOLDER)
+        return cls(cache_folder(cache) / FOLDER)
 
     def __call__(self, key: str, make: Callable[[], FloatArray]) -> FloatArray:
         """The array of this key, read-only, mapped from its file; made and stored if there is none that can be read.

@@ -13,6 +13,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from retarget.check import InvalidInput
 from retarget.types import FloatArray, IntArray, Pair, Regions
 from synth_data.noise import ScanNoise
 
@@ -53,6 +54,22 @@ class Dataset(ABC):
     @abstractmethod
     def frames(self, identity: str, indices: Sequence[int]) -> FloatArray:
         """(len(indices), n, 3) mm: the expressions with these indices, neutral included in the positions."""
+
+    def known(self, identity: str) -> str:
+        """Raises InvalidInput for an identity that the dataset does not hold."""
+        if identity not in self.identities:
+            raise InvalidInput(f"identity: expected one of {', '.join(self.identities)}, got {identity!r}.")
+        return identity
+
+    def chosen(self, indices: Sequence[int], mend: str) -> IntArray:
+        """(k,) indices of expressions. Raises InvalidInput, with `mend` as its last words, for one out of range."""
+        chosen = np.asarray(indices, dtype=np.int64).reshape(-1)
+        if len(chosen) and not 0 <= chosen.min() <= chosen.max() < len(self.expressions):
+            raise InvalidInput(
+                f"expressions: expected indices from 0 to {len(self.expressions) - 1}, got {chosen.min()} to "
+                f"{chosen.max()}; {mend}."
+            )
+        return chosen
 
     def scanned_neutral(self, identity: str) -> FloatArray:
         """(n, 3) mm: the neutral with the scanner's noise."""

@@ -133,22 +133,11 @@ class PerformedDataset(Dataset):
     refine: Callable[[FloatArray], FloatArray]
 
     def neutral(self, identity: str) -> FloatArray:
-        return self.neutrals[self._known(identity)]
+        return self.neutrals[self.known(identity)]
 
     def frames(self, identity: str, indices: Sequence[int]) -> FloatArray:
-        chosen = np.asarray(indices, dtype=np.int64).reshape(-1)
-        if len(chosen) and not 0 <= chosen.min() <= chosen.max() < len(self.expressions):
-            raise InvalidInput(
-                f"expressions: expected indices from 0 to {len(self.expressions) - 1}, got {chosen.min()} to "
-                f"{chosen.max()}; raise `dataset.expressions`."
-            )
-        return self.perform(identity, self.weights[chosen])
+        return self.perform(identity, self.weights[self.chosen(indices, "raise `dataset.expressions`")])
 
     def perform(self, identity: str, weights: FloatArray) -> FloatArray:
         """(t, n, 3) mm for weights (t, 51) of `synth_data.arkit.SKIN_NAMES`: `synth_data.dataset.Rigged`."""
-        return self.refine(self.performers[self._known(identity)](weights))
-
-    def _known(self, identity: str) -> str:
-        if identity not in self.neutrals:
-            raise InvalidInput(f"identity: expected one of {', '.join(self.identities)}, got {identity!r}.")
-        return identity
+        return self.refine(self.performers[self.known(identity)](weights))

@@ -14,7 +14,6 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
-import platformdirs
 from numpy.typing import NDArray
 
 from retarget.anatomy.depths import depths_with_room, landmark_depths, load_depths
@@ -32,7 +31,7 @@ from retarget.anatomy.template import (
 )
 from retarget.anatomy.tissue import Tissue
 from retarget.check import InvalidInput, check_faces, check_vertices
-from retarget.io.files import write_whole
+from retarget.io.files import cache_folder, write_whole
 from retarget.types import FloatArray, IntArray, Regions
 
 FORMAT = 1  # raise it when the construction or the arrays change
@@ -57,7 +56,7 @@ def load_template(faces: IntArray, regions: Regions, size: str = "coarse", cache
     """
     check_size(size)
     name = file_name(faces)
-    stored = shipped(name) or read_stored(_folder(cache) / name)
+    stored = shipped(name) or read_stored(cache_folder(cache) / name)
     if stored is None:
         raise InvalidInput(
             f"template: none is known for this topology of {len(faces)} triangles. Build it once (about two minutes): "
@@ -86,7 +85,7 @@ def store_template(
     check_unit(skin)
     depths = landmark_depths(load_depths(), regions) if depths is None else depths
     depths = depths_with_room(skin, faces, regions, depths)
-    path = _folder(cache) / file_name(faces)
+    path = cache_folder(cache) / file_name(faces)
     known = read_stored(path)
     if known is None or known.content != content_digest(skin, faces, regions, depths):
         write_stored(path, build_stored(skin, faces, regions, depths, progress))
@@ -167,7 +166,3 @@ def file_name(faces: IntArray) -> str:
     """Name of the file for a topology."""
     digest = hashlib.sha256(np.ascontiguousarray(faces, dtype=np.int64).tobytes()).hexdigest()
     return f"head-{digest[:16]}-{FORMAT}.npz"
-
-
-def _folder(cache: Path | None) -> Path:
-    return Path(platformdirs.user_cache_dir("anacondar")) if cache is None else Path(cache).expanduser()

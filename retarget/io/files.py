@@ -9,7 +9,14 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+import platformdirs
+
 from retarget.check import InvalidInput
+
+
+def cache_folder(chosen: str | Path | None = None) -> Path:
+    """The folder that was chosen, or the user's cache folder of this project."""
+    return Path(platformdirs.user_cache_dir("anacondar")) if chosen is None else Path(chosen).expanduser()
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:

