@@ -11,21 +11,23 @@ from PIL import Image, ImageDraw, ImageFont
 from reports.camera import Camera, look
 from reports.render import render_mesh
 from retarget.types import FloatArray, IntArray
-from synth_data.arkit import SKIN_NAMES
+from synth_data.cache import ArrayCache
 from synth_data.makehuman.identities import IdentitySampler
 from synth_data.makehuman.regions import load_regions
-from synth_data.makehuman.rig import personal_rig
+from synth_data.makehuman.rig import generic_rig, person_of
 from synth_data.makehuman.subdivide import subdivide
 from synth_data.makehuman.targets import load_head
-from synth_data.sequence import sparse_weights
+from synth_data.personal.scans import unit_weights
+from synth_data.truth import cast
+from synth_data.weights import blending_weights
 
 IMAGES = Path(__file__).parent / "images"
 COLUMNS, LABEL = 8, 26  # pictures in a row, pixels of the label above each
+TRUTH = "ebfr_arkit"  # the default of dataset.truth
 UNITS = (
-    (), ("jawOpen",), ("jawOpen", "mouthClose"), ("mouthSmileLeft", "mouthSmileRight"), ("mouthPucker",),
-    ("cheekPuff",), ("eyeBlinkLeft", "eyeBlinkRight"), ("browDownLeft", "browDownRight"),
+    (), ("jawOpen",), ("jawOpen", "mouthClose"), ("mouthSmile",), ("mouthPucker",), ("cheekPuff",), ("eyeBlink",),
+    ("browDown",),
 )  # fmt: skip
-TITLES = ("neutral", "jawOpen", "jawOpen, mouthClose", "mouthSmile", "mouthPucker", "cheekPuff", "eyeBlink", "browDown")
 
 
 def sheet(
@@ -53,27 +55,28 @@ def main() -> None:
     fine = subdivide(head.faces, len(head.vertices), 1)
     y, z = fine(head.vertices)[:, 1:].T
     above_neck, face = y > 600, (y > 608) & (y < 785) & (z > 35)
-    faces = fine.faces[above_neck[fine.faces].all(axis=1)]
 
     people = [sampler(seed) for seed in range(24)]
     heads = [fine(person.vertices) for person in people]
     size = (230, 290)
     camera = look(np.stack(heads)[:, above_neck], size, turn=28, raise_=3, margin=0.01)
     labels = [f"{person.seed}: {person.gender}, {person.age:.0f}" for person in people]
-    sheet(IMAGES / "data_identities.png", heads, faces, labels, camera, size)
+    sheet(IMAGES / "data_identities.png", heads, fine.faces, labels, camera, size)
 
     size = (230, 260)
-    rigs = [personal_rig(person, head, targets, regions) for person in people[:4]]
-    units = np.array([[float(name in active) for name in SKIN_NAMES] for active in UNITS])
-    rows = {"data_units.png": (units, list(TITLES)), "data_expressions.png": (sparse_weights(8), [])}
+    units = np.stack([unit_weights(dict.fromkeys(names, 1.0)) for names in UNITS])
+    titles = [", ".join(names) or "neutral" for names in UNITS]
+    blended = blending_weights("recombined", COLUMNS)
+    shown = {
+        "data_units.png": (units, titles),
+        "data_expressions.png": (blended, [f"recombined-{i:03d}" for i in range(COLUMNS)]),
+    }
     camera = look(np.stack(heads[:4])[:, face], size, turn=22, raise_=2, margin=0.01)
-    for file, (weights, titles) in rows.items():
-        posed = [
-            fine(person.vertices + np.tensordot(w, rig, axes=1))
-            for person, rig in zip(people, rigs, strict=False)
-            for w in weights
-        ]
-        sheet(IMAGES / file, posed, faces, titles or [f"sparse-{i:03d}" for i in range(8)], camera, size)
+    cast_of = {str(person.seed): person_of(person) for person in people[:4]}
+    performers = cast(TRUTH, generic_rig(head, targets, regions), cast_of, units, ArrayCache.of(None), print)
+    for file, (weights, above) in shown.items():
+        posed = [fine(frame) for name in cast_of for frame in performers[name](weights)]
+        sheet(IMAGES / file, posed, fine.faces, above, camera, size)
 
 
 if __name__ == "__main__":

@@ -60,8 +60,7 @@ def main() -> None:
             place = ((column + 0.5) * SIZE[0], block * tall + LABEL / 2)
             draw.text(place, name.replace("_", " "), fill="#222222", anchor="mm", font=font)
             for row, (face, of_face) in enumerate(zip(faces, scans, strict=True)):
-                whole = face.faces[(face.neutral[:, 1] > 600)[face.faces].all(axis=1)]
-                picture = render_mesh(of_face[i].vertices, whole, view, SIZE)
+                picture = render_mesh(of_face[i].vertices, face.faces, view, SIZE)
                 sheet.paste(Image.fromarray(picture), (column * SIZE[0], block * tall + LABEL + row * SIZE[1]))
         sheet.save(IMAGES / file, optimize=True)
 
