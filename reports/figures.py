@@ -19,6 +19,7 @@ from matplotlib.ticker import FixedFormatter, FixedLocator, NullFormatter, NullL
 from reports.cells import blocks
 from reports.colors import REFERENCE_ROW, method_color
 from reports.load import MethodFacts, StudyResults
+from reports.text import ROUNDING
 from retarget.types import FloatArray
 
 WIDTH = 170 / 25.4  # inches: the text width of the report
@@ -77,11 +78,15 @@ def box_plot(studies: Sequence[StudyResults], names: Sequence[str], path: Path) 
                 for j, (study, table) in enumerate(zip(studies, values, strict=True)):
                     here = table[(table["method"] == m.name) & (table["n_examples"] == count)]["value"].to_numpy()
                     at = i + (j - (len(studies) - 1) / 2) * step
-                    here = here[here > 0]
+                    color = row_color(study, m) if len(studies) == 1 else method_color(j)
                     if len(here) == 0:
-                        _no_result(axes, at)
+                        no_result(axes, at)
+                    elif (here <= ROUNDING).any():
+                        exact(axes, at, color)
+                    here = here[here > ROUNDING]
+                    if len(here) == 0:
                         continue
-                    _box(axes, at, step * 0.74, here, row_color(study, m) if len(studies) == 1 else method_color(j))
+                    _box(axes, at, step * 0.74, here, color)
                     if m.kind != "reference":
                         shown += [float(here.min()), float(here.max())]
             axes.set_title(f"{count} examples", fontsize=7.5, pad=3)
@@ -103,7 +108,7 @@ def example_effect(study: StudyResults, path: Path) -> None:
         rows = primary[primary["method"] == m.name].set_index("n_examples").reindex(counts)
         curves[m.name] = rows[["mean", "ci_low", "ci_high"]].to_numpy(dtype=np.float64).T
     known = [curves[m.name] for m in methods if m.kind != "reference"]
-    positive = [v for mean, low, high in known for v in (*mean, *np.maximum(low, mean / 2), *high) if v > 0]
+    positive = [v for mean, low, high in known for v in (*mean, *np.maximum(low, mean / 2), *high) if v > ROUNDING]
     with canvas(path, WIDTH, height) as figure:
         grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
         figure.subplots_adjust(
@@ -119,6 +124,8 @@ def example_effect(study: StudyResults, path: Path) -> None:
             axes.vlines(at, low, high, color=color, lw=1.1, zorder=3)
             if not np.isfinite(mean).any():
                 axes.text(0.5, 0.5, "no result", transform=axes.transAxes, ha="center", fontsize=6, color="#a3216f")
+            elif (mean <= ROUNDING).any():
+                axes.text(0.04, 0.05, "exact", transform=axes.transAxes, fontsize=6, color=color)
             axes.set_title(m.label, fontsize=7, loc="left", pad=2)
             axes.grid(axis="y", color="#ececec", lw=0.4)
             axes.set_axisbelow(True)
@@ -157,7 +164,15 @@ def _finish(
     figure.text(0.595, (0.03 + above) / figure.get_figheight(), name, ha="center", va="bottom")
 
 
-def _no_result(axes: Axes, at: float) -> None:
+def exact(axes: Axes, at: float, color: str) -> None:
+    """Mark a row whose value is zero up to rounding at the left edge: a logarithmic axis has no place for it."""
+    axes.text(
+        0.02, at, "exact", ha="left", va="center", fontsize=5.5, color=color, transform=axes.get_yaxis_transform()
+    )  # fmt: skip
+
+
+def no_result(axes: Axes, at: float) -> None:
+    """Say in a row that it is empty."""
     axes.text(
         0.5, at, "no result", ha="center", va="center", fontsize=6, color="#a3216f",
         transform=axes.get_yaxis_transform(),
@@ -182,9 +197,14 @@ def ratio_plot(study: StudyResults, tests: pd.DataFrame, path: Path) -> None:
             for i, m in enumerate(names):
                 mine = here[here["method"] == m.name]["value"].to_numpy()
                 if m.name not in rows.index or len(mine) == 0 or len(mine) != len(other):
-                    _no_result(axes, i)
+                    no_result(axes, i)
                     continue
                 r = rows.loc[m.name]
+                if (mine <= ROUNDING).any():
+                    exact(axes, i, row_color(study, m))
+                known = (mine > ROUNDING) & (other > ROUNDING)
+                if not known.all():
+                    continue
                 ratios = mine / other
                 axes.plot(ratios, i + _spread(len(ratios)), ".", ms=4.5, color=row_color(study, m), alpha=0.45, mew=0)
                 axes.plot([r["ratio_low"], r["ratio_high"]], [i, i], lw=1.6, color=row_color(study, m))
@@ -259,9 +279,10 @@ def log_ticks(axes: Axes, which: str, low: float, high: float) -> None:
 def _log_steps(low: float, high: float, points: float, apart: float) -> list[float]:
     """Round numbers in [low, high], at least `apart` from each other on a logarithmic axis of length `points`."""
     per_decade = points / np.log10(high / low)
-    steps = ((1, (1, 2, 5), np.log10(2)), (1, (1, 3), np.log10(3)), (1, (1,), 1.0), (2, (1,), 2.0), (3, (1,), 3.0))
-    every, factors, _ = next((step for step in steps if step[2] * per_decade >= apart), steps[-1])
-    return [m * 10.0**e for e in range(-6, 7, every) for m in factors if low <= m * 10.0**e <= high]
+    dense = ((factors, gap) for factors, gap in (((1, 2, 5), 2), ((1, 3), 3)) if np.log10(gap) * per_decade >= apart)
+    factors: tuple[int, ...] = next(dense, ((1,), 10))[0]
+    every = max(int(np.ceil(apart / per_decade)), 1)
+    return [m * 10.0**e for e in range(-6, 7) if e % every == 0 for m in factors if low <= m * 10.0**e <= high]
 
 
 @contextmanager

@@ -50,11 +50,11 @@ class Ordering:
 
     @cached_property
     def methods(self) -> tuple[MethodFacts, ...]:
-        """All rows, the one with the smallest rank on average first; references, which have none, at the end."""
+        """All rows, the smallest rank on average over the `stated` conditions first; references, without one, last."""
         rows = {method.name: method for study in self.studies for method in study.methods}
         average = {}
         for name in rows:
-            ranks = np.concatenate([self.ranks(name, count) for count in self.counts])
+            ranks = np.concatenate([self.ranks(name, count)[list(self.stated)] for count in self.counts])
             average[name] = float(np.nanmean(ranks)) if np.isfinite(ranks).any() else np.inf
         return tuple(sorted(rows.values(), key=lambda method: (method.kind == "reference", average[method.name])))
 

@@ -8,12 +8,12 @@ import numpy as np
 from matplotlib.lines import Line2D
 
 from reports.colors import method_color
-from reports.figures import WIDTH, canvas, error_name, log_ticks
+from reports.figures import WIDTH, canvas, error_name, exact, log_ticks, no_result
 from reports.ordering import Ordering
+from reports.text import ROUNDING
 
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")  # of conditions, whose colours differ too
 ROW, LEGEND_LINE = 0.23, 0.17  # inches
-EXACT = 1e-6  # of the largest mean: rounding
 LEGEND_LETTERS = 115  # on one line
 
 
@@ -31,8 +31,6 @@ def ordering_plot(ordering: Ordering, path: Path) -> None:
         panels = figure.subplots(1, len(counts), sharey=True, squeeze=False)[0]
         figure.subplots_adjust(left=0.2, right=0.99, bottom=(0.4 + legend) / height, top=1 - 0.2 / height, wspace=0.1)
         spread = 0.62 * (np.arange(len(names)) - (len(names) - 1) / 2) / max(len(names), 2)
-        means = np.array([ordering.values(method.name, count) for method in methods for count in counts])
-        exact = EXACT * float(np.max(means, where=np.isfinite(means), initial=0.0))
         shown: list[float] = []
         for axes, count in zip(panels, counts, strict=True):
             for i, method in enumerate(methods):
@@ -41,23 +39,18 @@ def ordering_plot(ordering: Ordering, path: Path) -> None:
                 mean = ordering.values(method.name, count)
                 low, high = (ordering.values(method.name, count, column) for column in ("ci_low", "ci_high"))
                 if np.isnan(mean).all():
-                    axes.text(
-                        0.5, i, "no result", ha="center", va="center", fontsize=6, color="#a3216f",
-                        transform=axes.get_yaxis_transform(),
-                    )  # fmt: skip
-                for j in np.flatnonzero(mean <= exact):
-                    axes.text(
-                        0.02, i + spread[j], "exact", ha="left", va="center", fontsize=5.5, color=method_color(int(j)),
-                        transform=axes.get_yaxis_transform(),
-                    )  # fmt: skip
-                for j in np.flatnonzero(mean > exact):
+                    no_result(axes, i)
+                for j in np.flatnonzero(mean <= ROUNDING):
+                    exact(axes, i + float(spread[j]), method_color(int(j)))
+                for j in np.flatnonzero(mean > ROUNDING):
                     color = method_color(int(j))
                     axes.plot([low[j], high[j]], [i + spread[j]] * 2, lw=1.0, color=color, alpha=0.8)
                     axes.plot(
                         mean[j], i + spread[j], MARKERS[j % len(MARKERS)], ms=3.6, color=color, mec="white", mew=0.4
                     )
                 if method.kind != "reference":
-                    shown += [*mean[mean > exact].tolist(), *low[low > mean / 3].tolist(), *high[high > exact].tolist()]
+                    seen = mean > ROUNDING
+                    shown += [*mean[seen].tolist(), *low[seen & (low > mean / 3)].tolist(), *high[seen].tolist()]
             axes.set_title(f"{count} examples", fontsize=7.5, pad=3)
             axes.grid(axis="x", color="#e0e0e0", lw=0.5)
             axes.set_axisbelow(True)

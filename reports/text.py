@@ -5,12 +5,22 @@ from __future__ import annotations
 import math
 
 MINUS = "\N{MINUS SIGN}"
+ROUNDING = 1e-6  # a smaller value is zero but for rounding, whatever its unit, and is printed so
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Fixed digits, or one significant one where they would all be zero; `n/a` for NaN."""
+    """Fixed digits, or one significant one where they would all be zero; `n/a` for NaN.
+
+    What is zero up to rounding, and what was divided by it, are bounds: `<1e-6`, `>1e6`.
+    """
     if not math.isfinite(value):
         return "n/a"
+    if 0 < value < ROUNDING:
+        return f"<{_power(ROUNDING)}"
+    if -ROUNDING < value < 0:
+        return f">{MINUS}{_power(ROUNDING)}"
+    if value > 1 / ROUNDING:
+        return f">{_power(1 / ROUNDING)}"
     if value != 0 and abs(value) < 0.5 * 10**-digits:
         return f"{value:.1g}".replace("-", MINUS)
     return f"{value:.{digits}f}".replace("-", MINUS)
@@ -22,10 +32,15 @@ def estimate(value: float, low: float, high: float, digits: int = 3) -> str:
 
 
 def bounds(low: float, high: float, digits: int = 3) -> str:
-    """``[0.100, 0.150]``; a dash in brackets where there is no interval."""
+    """``[0.100, 0.150]``; ``[<1e-6]`` for two equal bounds; a dash in brackets where there is no interval."""
     if not (math.isfinite(low) and math.isfinite(high)):
         return "[\N{EN DASH}]"
-    return f"[{number(low, digits)}, {number(high, digits)}]"
+    first, last = number(low, digits), number(high, digits)
+    return f"[{first}]" if first == last and first.startswith(("<", ">")) else f"[{first}, {last}]"
+
+
+def _power(value: float) -> str:
+    return f"1e{round(math.log10(value))}".replace("-", MINUS)
 
 
 def p_value(p: float) -> str:

@@ -82,6 +82,20 @@ def test_no_statement_is_made_of_a_truth_that_a_method_owns(study: StudyResults,
     assert "<!-- exact -->" in (tmp_path / "plot.svg").read_text()  # rounding takes no decades of the axis
 
 
+def test_what_is_exact_takes_no_part_in_the_axis(
+    study: StudyResults, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With an interval of 1e-15 mm about one exact mean the axis still begins at the smallest other value."""
+    means = dict(zip(METHODS, (1.0, 2.0, 3.0, 4.0, 5.0), strict=True))
+    studies = [under(study, "one", means | {"plbs": 1e-15}), under(study, "two", means)]
+    for one in studies:
+        one.summary[["ci_low", "ci_high"]] = np.outer(one.summary["mean"], (0.9, 1.1))
+    limits: list[tuple[float, float]] = []
+    monkeypatch.setattr("reports.ordering_plot.log_ticks", lambda axes, which, low, high: limits.append((low, high)))
+    ordering_plot(Ordering(studies), tmp_path / "plot.svg")
+    assert limits == [(pytest.approx(0.9), pytest.approx(5.5))]
+
+
 def test_two_methods_have_no_agreement(study: StudyResults) -> None:
     two = [under(study, name, {"plbs": 1.0, "lbs": 2.0}) for name in ("one", "two")]
     ordering = Ordering(two)
