@@ -1,12 +1,13 @@
-"""The report as one HTML page: its tables, and the heads as a viewer that turns. It needs no network.
+"""The report as one HTML page: its tables and plots, and the heads as a viewer that turns. It needs no network.
 
-The tables hold what the PDF prints (`reports.report.describe`), the viewer the frames that the study kept. Scripts,
-styles and meshes are inside the page, and its content security policy lets nothing else in. The same results give the
-same bytes.
+Tables and plots hold what the PDF prints (`reports.report.describe`), the viewer the frames that the study kept.
+Scripts, styles, plots and meshes are inside the page, and its content security policy lets nothing else in. The same
+results give the same bytes.
 """
 
 from __future__ import annotations
 
+import base64
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
@@ -20,25 +21,30 @@ from matplotlib.colors import to_hex
 from reports import page_tables as tables
 from reports.colors import ERROR_COLORMAP, SKIN
 from reports.load import StudyResults
+from reports.page_claims import claims_part
 from reports.page_heads import ASPECT, BUDGET, STEP, Packed, pack_heads
+from reports.page_lists import named_list, plain_list
 from retarget.io.files import write_whole
 
 _TEMPLATE, *_SCRIPTS = (Path(__file__).with_name(f"page{name}") for name in (".html", "_viewer.js", "_tables.js"))
 
 
-def write_page(path: Path, content: Mapping[str, Any], studies: Sequence[StudyResults]) -> Path:
+def write_page(path: Path, content: Mapping[str, Any], studies: Sequence[StudyResults], work: Path) -> Path:
     """Write the page of some studies, whole or not at all; returns its path.
 
-    `content` is what `reports.report.describe` made of the same studies. Raises InvalidInput where the page cannot be
-    written.
+    `content` is what `reports.report.alone` made of the same studies, `work` the folder with its plots. Raises
+    InvalidInput where the page cannot be written.
     """
-    text = page(content, studies)
+    text = page(content, studies, work)
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
     return path
 
 
-def page(content: Mapping[str, Any], studies: Sequence[StudyResults]) -> str:
+def page(content: Mapping[str, Any], studies: Sequence[StudyResults], work: Path) -> str:
     """The page as text; see `write_page`."""
+    several = len(content["studies"]) > 1
+    box = _plot(work / content["box"], _BOX_SEVERAL if several else _BOX)
+    sections = [list(_sections(study, work, "" if several else box)) for study in content["studies"]]
     heads = list(_heads(content, studies))
     arrays = [array for packed in heads for array in packed.arrays]
     facts = {
@@ -49,14 +55,16 @@ def page(content: Mapping[str, Any], studies: Sequence[StudyResults]) -> str:
     return Template(_TEMPLATE.read_text(encoding="utf-8")).substitute(
         title=escape(content["title"]),
         description=escape(content["description"]),
-        links=_links(content, bool(heads)),
-        overview=_overview(content["overview"]) if content["overview"] else "",
+        links=_links(_labels(content), sections, bool(heads)),
+        overview=_overview(content["overview"], work, box) if content["overview"] else "",
         viewer_hidden="" if heads else "hidden",
         no_viewer="" if heads else _NO_FRAMES,
         aspect=f"{ASPECT[0]} / {ASPECT[1]}",
         precision=f"{STEP:g}",
         correspondences=_correspondences(content["correspondences"]),
-        studies="".join(_study(i, study, len(content["studies"]) > 1) for i, study in enumerate(content["studies"])),
+        studies="".join(map(_study, range(len(sections)), _labels(content), sections)),
+        claims=claims_part(content["claims"]),
+        limits=named_list(content["limits"]),
         heads=json.dumps(facts, ensure_ascii=True).replace("</", "<\\/").replace("<!--", "<\\u0021--"),
         arrays="".join(f'<script type="text/plain" id="array-{i}">{text}</script>\n' for i, text in enumerate(arrays)),
         script="".join(script.read_text(encoding="utf-8") for script in _SCRIPTS),
@@ -64,6 +72,24 @@ def page(content: Mapping[str, Any], studies: Sequence[StudyResults]) -> str:
 
 
 _FOUND = "What was found"
+_LAST = (("claims", "Published claims"), ("limits", "What this cannot show"))
+_BOX = (
+    "Errors grouped by the number of target examples, in the form of Fig. 10 of the paper. One dot per ordered pair "
+    "(mean over draws and expressions); boxes hold the middle half, whiskers reach 1.5 times its width. Logarithmic: "
+    "equal distances are equal ratios."
+)
+_BOX_SEVERAL = (
+    "Errors under each condition, in the form of Fig. 10 of the paper. One dot per ordered pair (mean over draws and "
+    "expressions); boxes hold the middle half. Logarithmic. Compare the order of rows between colours."
+)
+_ORDER = (
+    "Mean of the primary metric with its nominal 95 % interval under each condition, logarithmic. The row with the "
+    "smallest rank on average is on top, rows that are no method are at the bottom. exact: rounding alone."
+)
+_EXAMPLES = (
+    "Effect of the number of examples: mean and 95 % interval of one method per plot, all others in grey, logarithmic. "
+    "A flat line does not learn from examples."
+)
 _NO_FRAMES = (
     "<h2>Heads</h2><p>This study kept no frames, so there are no heads to turn. "
     "Set <code>study.figures.pairs</code> to 1 or more to keep some.</p>"
@@ -80,8 +106,17 @@ def _heads(content: Mapping[str, Any], studies: Sequence[StudyResults]) -> Itera
             yield packed
 
 
-def _overview(overview: Mapping[str, Any]) -> str:
-    favours = ((f"{name}.", text) for name, text in overview["favours"])
+def _plot(path: Path, caption: str) -> str:
+    """A figure of the report below its caption. As an image it runs no script and shares no names with the page."""
+    data, words = base64.b64encode(path.read_bytes()).decode(), escape(caption)
+    return (
+        f'<p class="muted caption">{words}</p><div class="wide plot" tabindex="0" role="region" aria-label="{words}">'
+        f'<img src="data:image/svg+xml;base64,{data}" alt="{words}"></div>\n'
+    )
+
+
+def _overview(overview: Mapping[str, Any], work: Path, box: str) -> str:
+    favours = [(f"{name}.", text) for name, text in overview["favours"]]
     parts = "".join(tables.ordering_table(overview["conditions"], part) for part in overview["parts"])
     agreement = tables.agreement_table(
         overview["counts"],
@@ -89,8 +124,8 @@ def _overview(overview: Mapping[str, Any]) -> str:
         "Agreement of two orders: Kendall's tau of the means of all methods and controls, 1 for the same order.",
     )
     return (
-        f"<section><h2>The order of methods</h2>{_list(overview['findings'])}<h3>What each condition favours</h3>"
-        f"<ul>{''.join(f'<li><b>{escape(name)}</b> {escape(text)}</li>' for name, text in favours)}</ul>"
+        f"<section><h2>The order of methods</h2>{plain_list(overview['findings'])}"
+        f"{_plot(work / overview['plot'], _ORDER)}{box}<h3>What each condition favours</h3>{named_list(favours)}"
         f"<h3>Conditions side by side</h3>{parts}{agreement}"
         "<p class='muted'>Ranks are of means alone: a rank apart is no difference between methods, which the tests of "
         "each condition state.</p></section>"
@@ -110,41 +145,42 @@ def _correspondences(rows: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
-def _study(number: int, study: Mapping[str, Any], several: bool) -> str:
-    label = escape(study["label"])
-    name = f" <small>{label}</small>" if several else ""
+def _labels(content: Mapping[str, Any]) -> list[str]:
+    """Of each study, where there are several."""
+    studies = content["studies"]
+    return [str(study["label"]) if len(studies) > 1 else "" for study in studies]
+
+
+def _study(number: int, label: str, sections: Sequence[tuple[str, str]]) -> str:
+    name = f" <small>{escape(label)}</small>" if label else ""
     body = "".join(
         f'<section id="{_anchor(number, title)}"><h2>{escape(title)}{name}</h2>\n{text}</section>\n'
-        for title, text in _sections(study)
+        for title, text in sections
     )
-    return f'<article aria-label="{label or "results"}">\n{body}</article>\n'
+    return f'<article aria-label="{escape(label) or "results"}">\n{body}</article>\n'
 
 
 def _anchor(number: int, title: str) -> str:
     return f"{title.lower().replace(' ', '-')}-{number}"
 
 
-def _links(content: Mapping[str, Any], heads: bool) -> str:
+def _links(labels: Sequence[str], sections: Sequence[Sequence[tuple[str, str]]], heads: bool) -> str:
     """To the sections, or to the studies where there are several."""
-    studies = content["studies"]
-    if len(studies) > 1:
-        targets = [(_anchor(i, _FOUND), study["label"]) for i, study in enumerate(studies)]
+    if len(labels) > 1:
+        targets = [(_anchor(i, _FOUND), label) for i, label in enumerate(labels)]
     else:
-        targets = [(_anchor(0, title), title) for title, _ in _sections(studies[0])]
-    return (
-        "<nav>"
-        + "".join(
-            f'<a href="#{anchor}">{escape(title)}</a>' for anchor, title in [("viewer", "Heads")] * heads + targets
-        )
-        + "</nav>"
-    )
+        targets = [(_anchor(0, title), title) for title, _ in sections[0]]
+    targets = [("viewer", "Heads")] * heads + targets + [*_LAST]
+    links = (f'<a href="#{anchor}">{escape(title)}</a>' for anchor, title in targets)
+    return f"<nav>{''.join(links)}</nav>"
 
 
-def _sections(study: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+def _sections(study: Mapping[str, Any], work: Path, box: str) -> Iterator[tuple[str, str]]:
+    """(title, body) of each section; `box` is the box plot of a page of one study."""
     counts, reference = study["counts"], study["reference"]
     yield (
         _FOUND,
-        f"<p class='muted'>Every statement holds for: {escape(study['conditions'])}.</p>{_list(study['findings'])}"
+        f"<p class='muted'>Every statement holds for: {escape(study['conditions'])}.</p>{plain_list(study['findings'])}"
         + (f"<p><em>{escape(study['favours'])}</em></p>" if study["favours"] else ""),
     )
     pairs = " or ".join(map(str, study["pairs"]))
@@ -156,7 +192,9 @@ def _sections(study: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             f"{_measure(study)}: mean over {pairs or 'no'} ordered pairs with its nominal 95 % interval, and the "
             f"geometric-mean ratio to {reference}. Bold: smallest mean of a method or control. A mean covers only "
             "cells that all compared methods finished; how many of its own cells have no result stands after it.",
-        ),
+        )
+        + box
+        + (_plot(work / study["examples"], _EXAMPLES) if study["examples"] else ""),
     )
     if study["tables"]:
         yield (
@@ -178,7 +216,8 @@ def _sections(study: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         + f"<p class='muted'>Mean of {escape(study['metric'])} in {escape(study['unit'])}. Bold: the difference to "
         f"{escape(reference)} is below 5 % after Benjamini-Hochberg; secondary, no claim rests on it.</p>",
     )
-    yield "Tests", _tests(study)
+    ratios = f"Ratios to {reference}: a dot per pair, diamond and bar for the geometric mean and its 95 % interval."
+    yield "Tests", _tests(study) + (_plot(work / study["ratio"], ratios) if study["ratio"] else "")
     yield "Cells without a clean result", _failures(study)
     times = "Medians with quartiles. They were taken beside other processes: orders of magnitude, no small differences."
     yield "Times", tables.times_table(counts, study["times"], times)
@@ -218,7 +257,3 @@ def _failures(study: Mapping[str, Any]) -> str:
 def _measure(study: Mapping[str, Any]) -> str:
     unit = "" if study["unit"] == "1" else f" in {study['unit']}"
     return f"{study['metric']} on region {study['region']}{unit}"
-
-
-def _list(lines: Sequence[str]) -> str:
-    return f"<ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>"

@@ -60,12 +60,18 @@ def build_report(
         content = describe(gathered, work, progress)
         progress("typesetting")
         pdf = cast(bytes, typeset(content, work))
-    write_whole(path, lambda temporary: temporary.write_bytes(pdf))
-    progress("page")
-    for chapter, group in zip(content["chapters"], gathered.groups, strict=True):
-        own = f"{path.stem}-{chapter['name']}" if len(gathered.groups) > 1 else path.stem
-        write_page(path.with_name(f"{own}.html"), chapter, group)
+        write_whole(path, lambda temporary: temporary.write_bytes(pdf))
+        progress("page")
+        for chapter, group in zip(content["chapters"], gathered.groups, strict=True):
+            own = f"{path.stem}-{chapter['name']}" if len(gathered.groups) > 1 else path.stem
+            write_page(path.with_name(f"{own}.html"), alone(chapter, group), group, work)
     return path
+
+
+def alone(chapter: dict[str, Any], group: tuple[StudyResults, ...]) -> dict[str, Any]:
+    """A chapter with the claims and limits of its studies alone: what a page prints."""
+    own = Gathered(tuple(study.folder for study in group), (group,), ())
+    return chapter | {"claims": _claims(own), "limits": list(limits(own))}
 
 
 def describe(gathered: Gathered, work: Path, progress: Callable[[str], None]) -> dict[str, Any]:

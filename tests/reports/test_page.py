@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.colors import to_hex
 
@@ -20,12 +21,13 @@ from reports.folders import Gathered
 from reports.load import StudyResults, load
 from reports.page import page, write_page
 from reports.page_heads import STEP, Walk, pack, pack_heads
-from reports.report import build_report, describe
+from reports.report import alone, build_report, describe
 from reports.text import number
 from retarget.check import InvalidInput
 from tests.reports.example_study import ball, write_example_study
 from tests.reports.page_reader import Meshes, Read, unpacked
 
+PLOT = "data:image/svg+xml;base64,"
 MARKUP = "</script><img src=x onerror=alert(1)>&'\""
 
 
@@ -33,7 +35,7 @@ def content_of(studies: tuple[StudyResults, ...], work: Path) -> dict[str, Any]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(heads, "SIZE", (11, 14))
         gathered = Gathered(tuple(study.folder for study in studies), (studies,), ())
-        return dict(describe(gathered, work, lambda line: None)["chapters"][0])
+        return alone(describe(gathered, work, lambda line: None)["chapters"][0], studies)
 
 
 @pytest.fixture(scope="module")
@@ -42,13 +44,19 @@ def studies(tmp_path_factory: pytest.TempPathFactory) -> tuple[StudyResults, ...
 
 
 @pytest.fixture(scope="module")
-def content(studies: tuple[StudyResults, ...], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    return content_of(studies, tmp_path_factory.mktemp("work"))
+def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the plots are."""
+    return tmp_path_factory.mktemp("work")
 
 
 @pytest.fixture(scope="module")
-def read(content: dict[str, Any], studies: tuple[StudyResults, ...]) -> Read:
-    return Read(page(content, studies))
+def content(studies: tuple[StudyResults, ...], work: Path) -> dict[str, Any]:
+    return content_of(studies, work)
+
+
+@pytest.fixture(scope="module")
+def read(content: dict[str, Any], studies: tuple[StudyResults, ...], work: Path) -> Read:
+    return Read(page(content, studies, work))
 
 
 def test_the_tables_hold_the_summary(read: Read, studies: tuple[StudyResults, ...]) -> None:
@@ -95,6 +103,31 @@ def test_every_table_prints_what_the_pdf_prints(read: Read, content: dict[str, A
         assert {c["text"] for row in part["rows"] for c in row["cells"]} <= cells
     for row in study["times"]:
         assert row["frame"]["median"].split(" ")[0] in cells
+
+
+def test_plots_are_those_of_the_pdf(read: Read, content: dict[str, Any], work: Path) -> None:
+    (study,) = content["studies"]
+    images = [attributes for tag, attributes in read.tags if tag == "img"]
+    shown = [base64.b64decode(str(attributes["src"]).removeprefix(PLOT)) for attributes in images]
+    assert shown == [(work / name).read_bytes() for name in (content["box"], study["examples"], study["ratio"])]
+    assert all(picture.lstrip().startswith(b"<?xml") for picture in shown)
+    assert all(str(attributes["alt"]).endswith(".") for attributes in images)
+
+
+def test_claims_have_a_status_and_limits_are_told(read: Read, content: dict[str, Any]) -> None:
+    claims = content["claims"]
+    (table,) = (table for table in read.tables if table[0][:2] == ["claim", "section"])
+    assert len(table) - 1 == len(claims["shown"]) > 0
+    for row, claim in zip(table[1:], claims["shown"], strict=True):
+        assert row[:4] == [claim["says"], claim["section"], ", ".join(map(str, claim["counts"])), "not testable"]
+        assert "A claim needs at least 6 people" in row[-1]
+    for claim in claims["untested"]:
+        assert claim["says"] in read.words
+    assert f"{claims['counts']['not testable']} not testable" in read.words
+    for name, text in content["limits"]:
+        assert f"{name} {text}".replace("`", "") in read.words
+    links = [attributes.get("href") for tag, attributes in read.tags if tag == "a"]
+    assert links[-2:] == ["#claims", "#limits"]
 
 
 def test_meshes_are_the_kept_frames_to_the_stated_precision(read: Read, studies: tuple[StudyResults, ...]) -> None:
@@ -146,8 +179,9 @@ def test_colours_and_scale_are_those_of_the_pdf(read: Read, content: dict[str, A
 
 def test_the_page_asks_for_nothing_from_outside(read: Read) -> None:
     for tag, attributes in read.tags:
-        assert tag not in ("img", "link", "iframe", "object", "embed", "base", "form")
-        assert "src" not in attributes
+        assert tag not in ("link", "iframe", "object", "embed", "base", "form")
+        assert tag == "img" or "src" not in attributes
+        assert str(attributes.get("src", PLOT)).startswith(PLOT)
         assert attributes.get("href", "#").startswith("#")
     policies = [a["content"] for _, a in read.tags if a.get("http-equiv") == "Content-Security-Policy"]
     assert policies
@@ -170,8 +204,18 @@ def test_words_from_outside_stay_words(tmp_path: Path, read: Read) -> None:
     cells = pd.read_parquet(folder / "cells.parquet")
     cells.assign(status="not_converged", reason=MARKUP).to_parquet(folder / "cells.parquet")
     studies = load([folder])
-    hostile = Read(page(content_of(studies, tmp_path), studies))
-    assert [tag for tag, _ in hostile.tags if tag == "img"] == []
+    content = content_of(studies, tmp_path)
+    verdict = {"study": MARKUP, "status": "reproduced", "value": MARKUP, "sentence": MARKUP}
+    claim = {"says": MARKUP, "section": MARKUP, "published": MARKUP, "compared": MARKUP, "counts": [5]}
+    claims = [claim | {"status": "reproduced", "verdicts": [verdict]}]
+    content |= {"claims": content["claims"] | {"several": True, "shown": claims, "untested": claims}}
+    content |= {"limits": [(MARKUP, MARKUP)]}
+    hostile = Read(page(content, studies, tmp_path))
+    images = [attributes for tag, attributes in hostile.tags if tag == "img"]
+    assert len(images) == 3
+    assert all(set(attributes) == {"src", "alt"} for attributes in images)
+    assert all(str(attributes["src"]).startswith(PLOT) for attributes in images)
+    assert not [attributes for _, attributes in hostile.tags if "onerror" in attributes]
     assert {name for name in hostile.scripts if not name.startswith("array-")} == {"", "heads"}
     assert hostile.scripts[""] == read.scripts[""]
     assert hostile.words.count(MARKUP) > 30
@@ -179,10 +223,10 @@ def test_words_from_outside_stay_words(tmp_path: Path, read: Read) -> None:
 
 
 def test_the_same_results_give_the_same_bytes(
-    content: dict[str, Any], studies: tuple[StudyResults, ...], tmp_path: Path
+    content: dict[str, Any], studies: tuple[StudyResults, ...], work: Path, tmp_path: Path
 ) -> None:
     again = load([studies[0].folder])
-    assert write_page(tmp_path / "one.html", content, studies).read_bytes() == page(content, again).encode()
+    assert write_page(tmp_path / "one.html", content, studies, work).read_bytes() == page(content, again, work).encode()
 
 
 def test_a_small_budget_keeps_the_first_pair_and_says_what_is_left_out(studies: tuple[StudyResults, ...]) -> None:
@@ -206,7 +250,7 @@ def test_a_study_without_frames_has_tables_and_says_so(tmp_path: Path) -> None:
     for path in folder.glob("*/frames.npz"):
         path.unlink()
     studies = load([folder])
-    read = Read(page(content_of(studies, tmp_path), studies))
+    read = Read(page(content_of(studies, tmp_path), studies, tmp_path))
     assert "This study kept no frames" in read.words
     assert "All 42 cells finished." in read.words
     assert read.heads["studies"] == []
@@ -217,9 +261,10 @@ def test_several_studies_share_one_page_and_its_room(tmp_path: Path) -> None:
     for name, noise in (("0", 0.0), ("1", 0.3)):
         write_example_study(tmp_path / name, identities=2, draws=1, noise_mm=noise, failures=False)
     studies = load([tmp_path])
-    read = Read(page(content_of(studies, tmp_path), studies))
+    read = Read(page(content_of(studies, tmp_path), studies, tmp_path))
     assert [study["label"] for study in read.heads["studies"]] == ["dataset.noise_mm=0.0", "dataset.noise_mm=0.3"]
     assert "Conditions side by side" in read.words
+    assert len([tag for tag, _ in read.tags if tag == "img"]) == 2 + 2 * 2  # the order, boxes, and two of each study
     first, second = (Meshes(read, study) for study in read.heads["studies"])
     assert second.study["order"] > first.study["order"]
     np.testing.assert_array_equal(first.order, second.order)
@@ -239,6 +284,7 @@ def test_the_page_lies_beside_the_pdf_and_never_in_its_place(tmp_path: Path, mon
     assert not (tmp_path / "other.html").exists()
 
 
+@settings(deadline=None)
 @given(st.lists(st.integers(-(1 << 29), 1 << 29)))
 def test_integers_survive_packing(values: list[int]) -> None:
     np.testing.assert_array_equal(unpacked(pack(values)), np.array(values, dtype=np.int64))
@@ -249,6 +295,7 @@ def test_a_result_that_flew_away_is_refused() -> None:
         pack([1 << 30])
 
 
+@settings(deadline=None)
 @given(st.integers(1, 12), st.integers(0, 2**32 - 1))
 def test_a_walk_reaches_every_vertex_after_its_neighbour(pieces: int, seed: int) -> None:
     """Also of a mesh in pieces, and with vertices that no triangle uses."""
