@@ -14,6 +14,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from retarget.check import InvalidInput
+from retarget.suggest import choose
 from retarget.types import FloatArray, IntArray, Pair, Regions
 from synth_data.noise import ScanNoise
 
@@ -55,11 +56,9 @@ class Dataset(ABC):
     def frames(self, identity: str, indices: Sequence[int]) -> FloatArray:
         """(len(indices), n, 3) mm: the expressions with these indices, neutral included in the positions."""
 
-    def known(self, identity: str) -> str:
-        """Raises InvalidInput for an identity that the dataset does not hold."""
-        if identity not in self.identities:
-            raise InvalidInput(f"identity: expected one of {', '.join(self.identities)}, got {identity!r}.")
-        return identity
+    def known(self, identity: str, setting: str = "identity") -> str:
+        """Raises InvalidInput, which names the setting, for an identity that the dataset does not hold."""
+        return choose(setting, identity, self.identities)
 
     def chosen(self, indices: Sequence[int], mend: str) -> IntArray:
         """(k,) indices of expressions. Raises InvalidInput, with `mend` as its last words, for one out of range."""

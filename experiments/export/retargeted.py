@@ -15,7 +15,7 @@ from rich.console import Console
 
 from experiments.catalogue import MethodMaker
 from experiments.export.motion import one_by_one, select
-from experiments.export.scene import Scene, about_data, check_targets, chosen_motion, known_identity, load_dataset
+from experiments.export.scene import Scene, about_data, check_targets, chosen_motion, load_dataset
 from experiments.progress import progress
 from experiments.protocol import check_counts, draw
 from experiments.study import check_whole
@@ -154,7 +154,7 @@ def _pair(config: DictConfig, dataset: Dataset) -> tuple[str, str]:
         raise InvalidInput("dataset.identities: expected at least 2, one performs, the other retargets.")
     for setting in ("source", "target"):
         if config[setting] is not None:
-            known_identity(setting, config[setting], dataset)
+            dataset.known(config[setting], setting)
     source = config.source or next(name for name in dataset.identities if name != config.target)
     target = config.target or next(name for name in dataset.identities if name != source)
     if source == target:

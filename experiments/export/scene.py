@@ -15,7 +15,6 @@ from experiments.export.motion import Motion, in_turn, rigged, taken
 from experiments.progress import progress
 from retarget.check import InvalidInput
 from retarget.io.morph_mesh import MorphMesh, flipbook
-from retarget.suggest import nearest
 from retarget.types import IntArray
 from synth_data.arkit import NAMES, SKIN_NAMES
 from synth_data.dataset import Dataset
@@ -117,23 +116,13 @@ def about_data(config: DictConfig, dataset: Dataset) -> dict[str, Any]:
     return {"what": config.what, **asdict(dataset.conditions), **take, "fingerprint": dataset.fingerprint}
 
 
-def known_identity(setting: str, name: str, dataset: Dataset) -> str:
-    """Raises InvalidInput for an unknown one."""
-    if name not in dataset.identities:
-        raise InvalidInput(
-            f"{setting}: '{name}' is unknown, expected one of {', '.join(dataset.identities)}."
-            f"{nearest(name, dataset.identities)} More are there with dataset.identities=N."
-        )
-    return name
-
-
 def _identities(config: DictConfig, dataset: Dataset) -> tuple[str, ...]:
     if config.identity is None:
         return dataset.identities[:1]
     if config.identity == "all":
         return dataset.identities
     listed = [config.identity] if isinstance(config.identity, str) else list(config.identity)
-    names = tuple(known_identity("identity", str(name), dataset) for name in listed)
+    names = tuple(dataset.known(str(name)) for name in listed)
     if not names or len(set(names)) < len(names):
         raise InvalidInput(f"identity: expected one or more, each once, or all; got {listed}.")
     return names

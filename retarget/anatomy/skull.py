@@ -25,6 +25,7 @@ from retarget.types import FloatArray, IntArray, Regions
 
 NEEDED_SETS = ("head", "interior", "ears", "lips", "nose", "eyes", "neck")
 NEEDED_LANDMARKS = ("rhinion", "pronasale", "menton", "gonion_left", "gonion_right", "tragion_left", "tragion_right")
+NAMED = 3  # of the parts that are missing, in an error
 CLEARANCE = 1.0  # mm of soft tissue between bone and any skin
 CAVITY_CLEARANCE = 3.0  # mm of soft tissue between bone and the skin of eye sockets and mouth
 ROUNDING = 3.0  # mm over which the lower edges of mandible and occiput and the orbits' edges are rounded
@@ -137,12 +138,13 @@ class _Grid:
 
 def check_parts(regions: Regions) -> None:
     """Raises InvalidInput if a vertex set or landmark that the head's construction reads is missing."""
-    missing = [f"vertices[{n!r}]" for n in NEEDED_SETS if len(regions.vertices.get(n, ())) == 0]
-    missing += [f"landmarks[{n!r}]" for n in NEEDED_LANDMARKS if n not in regions.landmarks]
+    missing = [n for n in NEEDED_SETS if len(regions.vertices.get(n, ())) == 0]
+    missing += [n for n in NEEDED_LANDMARKS if n not in regions.landmarks]
     if missing:
+        more = f" and {len(missing) - NAMED} more" if len(missing) > NAMED else ""
         raise InvalidInput(
-            f"regions: expected what the volumetric head needs, {', '.join(missing)} missing; "
-            "docs/regions.md says what each name means. Add it to the topology's regions."
+            f"regions: the head model lacks {', '.join(missing[:NAMED])}{more}; give this topology a regions file "
+            "(docs/own_topology.md)."
         )
 
 

@@ -203,7 +203,10 @@ def lacking(faces: IntArray, vertex_count: int, regions: Regions) -> str | None:
     """What a topology lacks for this transfer, or None."""
     missing = [name for name in LANDMARKS if name not in regions.landmarks]
     if missing:
-        return f"{len(missing)} of the 51 landmarks ibug_00 to ibug_50 are unknown, the first is {missing[0]}"
+        return (
+            f"{len(missing)} of the 51 landmarks ibug_00 to ibug_50 are unknown, the first is {missing[0]}; give this "
+            "topology a regions file (docs/own_topology.md)"
+        )
     held = np.zeros(vertex_count, dtype=bool)
     held[[regions.landmarks[name] for name in LANDMARKS]] = True
     held[regions.vertices.get("cranium", np.empty(0, dtype=np.int64))] = True

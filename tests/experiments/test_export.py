@@ -163,6 +163,7 @@ def test_nothing_is_overwritten_unasked(run: Run, tmp_path: Path) -> None:
         (["what=truht"], "Did you mean 'truth'"),
         (["format=gltf"], "expected one of glb, obj, npz"),
         (["identity=z"], "expected one of a, b, c"),
+        (["what=retargeted", "source=z"], "source: 'z' is unknown, expected one of a, b, c"),
         (["identity=[a,a]"], "each once"),
         (["frames=99"], "from 0 to 11"),
         (["frames=7:2"], "ascending"),

@@ -131,7 +131,7 @@ def test_settings_out_of_range_are_refused(settings: dict[str, Any], message: st
 
 
 def test_unknown_identities_and_expressions_are_refused(data: PerformedDataset) -> None:
-    with pytest.raises(InvalidInput, match="expected one of person-000, person-001, got 'nobody'"):
+    with pytest.raises(InvalidInput, match="identity: 'nobody' is unknown, expected one of person-000"):
         data.neutral("nobody")
     with pytest.raises(InvalidInput, match="expected indices from 0 to 11, got 3 to 12"):
         data.frames("person-000", [3, 12])
