@@ -8,6 +8,7 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from reports.bust import bust
 from reports.camera import Camera, look
 from reports.render import render_mesh
 from retarget.types import FloatArray, IntArray
@@ -42,7 +43,7 @@ def sheet(
     for i, head in enumerate(heads):
         row, column = divmod(i, COLUMNS)
         top = row * size[1] + min(row + 1, labelled) * LABEL
-        out.paste(Image.fromarray(render_mesh(head, faces, camera, size)), (column * size[0], top))
+        out.paste(Image.fromarray(render_mesh(*bust(head, faces), camera, size)), (column * size[0], top))
         if i < len(labels):
             draw.text(((column + 0.5) * size[0], top - LABEL / 2), labels[i], fill="#222222", anchor="mm", font=font)
     out.save(path, optimize=True)

@@ -8,6 +8,7 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from reports.bust import bust
 from reports.camera import Camera, look
 from reports.render import render_mesh
 from synth_data.makehuman.identities import IdentitySampler
@@ -60,7 +61,7 @@ def main() -> None:
             place = ((column + 0.5) * SIZE[0], block * tall + LABEL / 2)
             draw.text(place, name.replace("_", " "), fill="#222222", anchor="mm", font=font)
             for row, (face, of_face) in enumerate(zip(faces, scans, strict=True)):
-                picture = render_mesh(of_face[i].vertices, face.faces, view, SIZE)
+                picture = render_mesh(*bust(of_face[i].vertices, face.faces), view, SIZE)
                 sheet.paste(Image.fromarray(picture), (column * SIZE[0], block * tall + LABEL + row * SIZE[1]))
         sheet.save(IMAGES / file, optimize=True)
 

@@ -78,9 +78,8 @@ class PersonalFace:
         skin += self.mouth.lip_motion(w, (w["mouthPressLeft"], w["mouthPressRight"]), self.to_left)
         for side, lids in zip(("Left", "Right"), self.lids, strict=True):
             skin[lids.vertices] += lids(self.neutral, self._lid_action(w, side))
-        excursion = Excursion(
-            self._opening(w), w["jawForward"], w["jawLeft"], w["jawRight"], min(w["mouthClose"] + self._taut(w), 1.0)
-        )
+        shut = min(_closing(w) + self._taut(w), 1.0)
+        excursion = Excursion(self._opening(w), w["jawForward"], w["jawLeft"], w["jawRight"], shut)
         return self.relaxation(self.mouth.parted(self.jaw(skin, excursion), max(w.values())))
 
     def _opening(self, w: dict[str, float]) -> float:
@@ -181,6 +180,14 @@ class PersonalFace:
             down=down * (1 - blink),
             aside=(w[f"eyeLookOut{side}"] - w[f"eyeLookIn{side}"]) * (1 if side == "Left" else -1) * (1 - blink),
         )
+
+
+def _closing(w: dict[str, float]) -> float:
+    """How far mouthClose keeps the lips together over an opening jaw: in full where it is equal to jawOpen.
+
+    That is what ARKit's units mean, whose mouthClose takes back what jawOpen of the same weight does to the lips.
+    """
+    return min(w["mouthClose"] / w["jawOpen"], 1.0) if w["jawOpen"] else 0.0
 
 
 def personal_face(vertices: FloatArray, faces: IntArray, regions: Regions, traits: Traits) -> PersonalFace:

@@ -14,10 +14,14 @@ from synth_data.arkit import SKIN_NAMES
 from synth_data.makehuman.anthropometry import personalisation
 from synth_data.makehuman.identities import IdentitySampler
 from synth_data.makehuman.regions import load_regions
+from synth_data.makehuman.subdivide import Subdivision, subdivide
 from synth_data.makehuman.targets import load_head
 from synth_data.personal.face import PersonalFace, personal_face
 from synth_data.personal.scans import Scan, personal_scans, unit_weights
 from synth_data.personal.traits import draw_traits
+from synth_data.weights import blending_weights
+
+FRAMES = 60  # recombined expressions in which crossings are counted, besides the neutral and the scans
 
 
 def magnitudes(face: PersonalFace, regions: Regions) -> dict[str, float]:
@@ -67,11 +71,13 @@ def span_residual(scans: list[Scan], neutral: FloatArray, rig: FloatArray, regio
     return float(np.sqrt((residual**2).sum() / count)), float(np.sqrt((residual**2).sum() / (motion**2).sum()))
 
 
-def crossings(face: PersonalFace, scans: list[Scan]) -> tuple[int, Mapping[str, int]]:
-    """Pairs of crossing triangles in the neutral, and in each scan in excess of them where there are any."""
-    rest = len(self_intersections(face.neutral, face.faces))
-    found = {scan.name: len(self_intersections(scan.vertices, face.faces)) - rest for scan in scans}
-    return rest, {name: count for name, count in found.items() if count > 0}
+def crossings(face: PersonalFace, frames: Mapping[str, FloatArray], fine: Subdivision) -> dict[str, int]:
+    """Pairs of triangles that cross in frames (n, 3) mm by name, on the base mesh and refined, where there are any."""
+    found = {}
+    for name, frame in frames.items():
+        found[name] = len(self_intersections(frame, face.faces))
+        found[f"{name}, refined"] = len(self_intersections(fine(frame), fine.faces))
+    return {name: count for name, count in found.items() if count}
 
 
 def nonadditive(face: PersonalFace, region: IntArray) -> float:
@@ -99,6 +105,7 @@ def main(people: str = "8") -> None:
     sampler = IdentitySampler(head, targets, regions)
     rig = np.stack([targets[f"units/{name}"] for name in SKIN_NAMES])
     region = regions.vertices["head"]
+    fine, blended = subdivide(head.faces, len(head.vertices), 1), blending_weights("recombined", FRAMES)
     measured, motions, residuals, own = [], [], [], []
     for seed in range(int(people)):
         identity = sampler(seed)
@@ -109,11 +116,10 @@ def main(people: str = "8") -> None:
         units = face(np.eye(len(SKIN_NAMES))) - face.neutral
         own.append((*span_residual(scans, face.neutral, units, region), nonadditive(face, region)))
         measured.append(magnitudes(face, regions))
-        rest, excess = crossings(face, scans)
-        print(
-            f"seed {seed}: {rest} crossing pairs in the neutral; in excess of them: {dict(excess) or 'none'}",
-            flush=True,
-        )
+        frames = {"neutral": face.neutral, **{scan.name: scan.vertices for scan in scans}}
+        frames |= {f"recombined-{i:03d}": frame for i, frame in enumerate(face(blended))}
+        crossing = crossings(face, frames, fine) or "none"
+        print(f"seed {seed}: pairs of triangles that cross in {len(frames)} frames: {crossing}", flush=True)
     print("\n| measure | mean | deviation | least | most |\n| --- | --- | --- | --- | --- |")
     for name in measured[0]:
         values = np.array([row[name] for row in measured])

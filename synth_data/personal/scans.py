@@ -37,7 +37,7 @@ SCANS: Mapping[str, Mapping[str, float]] = {
     "jaw_left": {"jawLeft": 1.0, "jawOpen": 0.1},
     "jaw_right": {"jawRight": 1.0, "jawOpen": 0.1},
     "jaw_forward": {"jawForward": 1.0},
-    "lips_shut_jaw_open": {"jawOpen": 0.6, "mouthClose": 1.0},
+    "lips_shut_jaw_open": {"jawOpen": 0.6, "mouthClose": 0.6},
     "mouth_left": {"mouthLeft": 1.0},
     "mouth_right": {"mouthRight": 1.0},
 }

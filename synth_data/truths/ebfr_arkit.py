@@ -18,7 +18,7 @@ from synth_data.arkit import SKIN_NAMES
 from synth_data.cache import ArrayCache
 from synth_data.dataset import Progress
 from synth_data.personal.face import personal_face
-from synth_data.personal.scans import personal_scans
+from synth_data.personal.scans import personal_scans, unit_weights
 from synth_data.personal.traits import average_traits
 from synth_data.truth import Blendshapes, Casting, GenericRig, Person, Truth, person_key
 
@@ -81,6 +81,8 @@ class Rigger:
 def generic_units(generic: GenericRig, cache: ArrayCache) -> FloatArray:
     """(51, n, 3) mm: each unit alone at full strength, as somebody with average traits moves the generic neutral.
 
+    mouthClose, which does nothing to a shut jaw, is what it takes from jawOpen.
+
     The template of the rigging thus belongs to the generator that makes the scans; that of the artist, whose lips and
     lids move otherwise, predicts scans that were held out less well (docs/truths.md).
     """
@@ -88,7 +90,10 @@ def generic_units(generic: GenericRig, cache: ArrayCache) -> FloatArray:
 
     def units() -> FloatArray:
         face = personal_face(nobody.neutral, generic.faces, generic.regions, nobody.traits)
-        return face(np.eye(len(SKIN_NAMES))) - nobody.neutral
+        moved = face(np.eye(len(SKIN_NAMES))) - nobody.neutral
+        opened = unit_weights({"jawOpen": 1.0})
+        moved[SKIN_NAMES.index("mouthClose")] = np.subtract(*face([opened + unit_weights({"mouthClose": 1.0}), opened]))
+        return moved
 
     return cache(person_key("generic units", generic, nobody), units)
 

@@ -26,6 +26,7 @@ from synth_data.makehuman.identities import IdentitySampler
 from synth_data.makehuman.rig import generic_rig, person_of
 from synth_data.makehuman.targets import Targets
 from synth_data.measure_truths import Session, distance, span_residual
+from synth_data.personal.scans import unit_weights
 from synth_data.truth import OPPOSITE, GenericRig, Performer, Person, Rehearsed, cast, truth_kind, truth_kinds
 from synth_data.truths.ebfr_arkit import HELD, Rigger, generic_units
 from synth_data.weights import blending_weights
@@ -70,6 +71,21 @@ def performers(
 @pytest.fixture(scope="module")
 def session(generic: GenericRig, persons: Mapping[str, Person]) -> Session:
     return Session.of(persons["person-4"], generic)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_mouth_close_shuts_the_lips_over_a_jaw_that_is_as_open(
+    performers: dict[str, dict[str, Performer]], persons: Mapping[str, Person], generic: GenericRig, kind: str
+) -> None:
+    lips = [generic.regions.landmarks[f"stomion_{lip}"] for lip in ("upper", "lower")]
+    for name in ("person-4", "person-5"):
+        for strength in (0.1, 0.6, 1.0):
+            opened = unit_weights({"jawOpen": strength})
+            frames = performers[kind][name](np.array([opened, opened + unit_weights({"mouthClose": strength})]))
+            rest, parted, shut = (
+                np.linalg.norm(np.subtract(*frame[lips])) for frame in (persons[name].neutral, *frames)
+            )
+            assert abs(shut - rest) < 0.06 * (parted - rest), (name, strength)
 
 
 def test_the_kinds_are_the_files_and_each_says_what_it_favours() -> None:
