@@ -91,8 +91,10 @@ def generic_units(generic: GenericRig, cache: ArrayCache) -> FloatArray:
     def units() -> FloatArray:
         face = personal_face(nobody.neutral, generic.faces, generic.regions, nobody.traits)
         moved = face(np.eye(len(SKIN_NAMES))) - nobody.neutral
-        opened = unit_weights({"jawOpen": 1.0})
-        moved[SKIN_NAMES.index("mouthClose")] = np.subtract(*face([opened + unit_weights({"mouthClose": 1.0}), opened]))
+        shut, opened = face(
+            np.stack([unit_weights({"jawOpen": 1.0, "mouthClose": 1.0}), unit_weights({"jawOpen": 1.0})])
+        )
+        moved[SKIN_NAMES.index("mouthClose")] = shut - opened
         return moved
 
     return cache(person_key("generic units", generic, nobody), units)
