@@ -24,7 +24,7 @@ from synth_data.weights import blending_weights
 
 IMAGES = Path(__file__).parent / "images"
 COLUMNS, LABEL = 8, 26  # pictures in a row, pixels of the label above each
-TRUTH = "ebfr_arkit"  # the default of dataset.truth
+TRUTH, EXPRESSIONS = "ebfr_arkit", 250  # the defaults of dataset.truth and dataset.expressions
 UNITS = (
     (), ("jawOpen",), ("jawOpen", "mouthClose"), ("mouthSmile",), ("mouthPucker",), ("cheekPuff",), ("eyeBlink",),
     ("browDown",),
@@ -67,10 +67,11 @@ def main() -> None:
     size = (230, 260)
     units = np.stack([unit_weights(dict.fromkeys(names, 1.0)) for names in UNITS])
     titles = [", ".join(names) or "neutral" for names in UNITS]
-    blended = blending_weights("recombined", COLUMNS)
+    rows = np.arange(COLUMNS) * (EXPRESSIONS // COLUMNS)
+    blended = blending_weights("recombined", EXPRESSIONS)[rows]
     shown = {
         "data_units.png": (units, titles),
-        "data_expressions.png": (blended, [f"recombined-{i:03d}" for i in range(COLUMNS)]),
+        "data_expressions.png": (blended, [f"recombined-{i:03d}" for i in rows]),
     }
     camera = look(np.stack(heads[:4])[:, face], size, turn=22, raise_=2, margin=0.01)
     cast_of = {str(person.seed): person_of(person) for person in people[:4]}

@@ -40,7 +40,7 @@ def main() -> None:
         performers = cast(kind, generic, people, weights, ArrayCache.of(None), print)
         posed[kind] = [fine(performers[name](weights)[0]) for name in people]
     y, z = fine(head.vertices)[:, 1:].T
-    shown = (y > 606) & (y < 790) & (z > 35)
+    shown = (y > 640) & (y < 790) & (z > 35)
     camera = look(np.concatenate([each[shown] for kind in KINDS for each in posed[kind]]), SIZE, turn=22, raise_=2)
 
     columns = len(KINDS) * 2 - 1
