@@ -58,7 +58,7 @@ def with_inputs(arguments: list[str]) -> list[str]:
     folders = [a for a in arguments if "=" not in a and not a.startswith(("-", "~", "+")) and Path(a).is_dir()]
     if not folders:
         return arguments
-    quoted = ",".join(f"'{folder}'" for folder in folders)
+    quoted = ",".join("'{}'".format(folder.replace("'", r"\'")) for folder in folders)
     return [a for a in arguments if a not in folders] + [f"inputs=[{quoted}]"]
 
 
@@ -111,6 +111,7 @@ def run(config: DictConfig) -> None:
 @with_readable_errors
 def report(config: DictConfig) -> None:
     from reports.report import build_report
+    from reports.temporal_sheet import build_temporal_sheet, temporal_folders
     from reports.tuning_sheet import build_tuning_sheet
 
     console = Console()
@@ -121,6 +122,8 @@ def report(config: DictConfig) -> None:
     output = Path(config.output).absolute() if config.output else None
     if output is None and not config.inputs:
         output = results_folder(config) / "report.pdf"
+    for folder in temporal_folders(inputs):
+        print_path(build_temporal_sheet(folder), console)
     path = build_report(inputs, output, console.print)
     for written in (path, path.with_suffix(".html")):
         print_path(written, console)

@@ -47,6 +47,8 @@ def _make(config: DictConfig, study: Path, folder: Path, console: Console) -> No
     ):
         print_path(path, console)
     print_path(folder / KEY, console)
+    items = f"{len(made.shown)} items"
+    console.print(f"{items}, {made.sparse}" if made.sparse else items, soft_wrap=True, markup=False, highlight=False)
     console.print(
         f"Give raters {FOR_RATERS}, keep {KEY} from them. When their files are back:\n"
         f"python -m experiments survey rankings=FOLDER key={folder / KEY}",

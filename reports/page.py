@@ -20,6 +20,7 @@ from matplotlib.colors import to_hex
 
 from reports import page_tables as tables
 from reports.colors import ERROR_COLORMAP, SKIN
+from reports.html_head import HEAD
 from reports.load import StudyResults
 from reports.page_claims import claims_part
 from reports.page_heads import ASPECT, BUDGET, STEP, Packed, pack_heads
@@ -53,6 +54,7 @@ def page(content: Mapping[str, Any], studies: Sequence[StudyResults], work: Path
         "studies": [packed.facts for packed in heads],
     }
     return Template(_TEMPLATE.read_text(encoding="utf-8")).substitute(
+        head=HEAD,
         title=escape(content["title"]),
         description=escape(content["description"]),
         links=_links(_labels(content), sections, bool(heads)),

@@ -10,7 +10,7 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from string import ascii_uppercase
 from typing import Any, cast
@@ -31,6 +31,7 @@ EXAMPLES = {  # pictures of the target beside the source: what a rater reads abo
     "truth": "Target, the same expression",
     "none": "",
 }
+ITEMS = 5  # for each example count, as in the paper
 _MOST_METHODS = 8  # pictures that a person can rank, and that fit a page
 
 
@@ -38,8 +39,9 @@ _MOST_METHODS = 8  # pictures that a person can rank, and that fit a page
 class Design:
     """One file of ``conf/questionnaire``.
 
-    n_examples: None stands for all counts of the study. items: for each count. distinct: whether an expression of a
-    pair is asked about once only, or once for each count. target_example: a key of EXAMPLES.
+    n_examples: None stands for all counts of the study. items: for each count; None stands for 5, or as many as the
+    frames that the study kept allow. distinct: whether an expression of a pair is asked about once only, or once for
+    each count. target_example: a key of EXAMPLES.
     """
 
     name: str
@@ -48,7 +50,7 @@ class Design:
     reference: str
     target_example: str
     n_examples: tuple[int, ...] | None = None
-    items: int = 5
+    items: int | None = None
     distinct: bool = True
     seed: int = 0
 
@@ -65,6 +67,8 @@ class Design:
         choose("questionnaire.reference", design.reference, design.methods)
         choose("questionnaire.target_example", design.target_example, EXAMPLES)
         for name, value, least in (("items", design.items, 1), ("seed", design.seed, 0)):
+            if name == "items" and value is None:
+                continue
             if not isinstance(value, int) or isinstance(value, bool) or value < least:
                 raise InvalidInput(f"questionnaire.{name}: expected a whole number of at least {least}, got {value!r}.")
         return design
@@ -158,6 +162,7 @@ class Questionnaire:
     key: Key
     shown: tuple[Shown, ...]
     cells: tuple[FigureCell, ...]
+    sparse: str = ""  # why there are fewer items than in the paper, and what to do
 
 
 def questionnaire(study: StudyResults, design: Design) -> Questionnaire:
@@ -181,8 +186,7 @@ def questionnaire(study: StudyResults, design: Design) -> Questionnaire:
         if c.method in design.methods and c.n_examples in counts
     }
     instances = {count: list(_instances(kept, design.methods, count)) for count in counts}
-    rng = np.random.default_rng(design.seed)
-    drawn = _draw(instances, study, design, rng)
+    asked, drawn, rng = _fitting(instances, study, design)
     lettered = _letters(design.methods, len(drawn), rng)
     order = rng.permutation(len(drawn))
     performances = _performances(study) if design.target_example == "similar" else {}
@@ -199,7 +203,8 @@ def questionnaire(study: StudyResults, design: Design) -> Questionnaire:
         },
         key=lambda c: str(c.path),
     )
-    return Questionnaire(_key(study, design, [s.item for s in shown], used), shown, tuple(used))
+    sparse = _sparse(instances, study, asked) if design.items is None and asked.items != ITEMS else ""
+    return Questionnaire(_key(study, asked, [s.item for s in shown], used), shown, tuple(used), sparse)
 
 
 def write_key(path: Path, key: Key) -> None:
@@ -247,21 +252,35 @@ def _instances(
                 yield Instance(source, target, expression, draw, frame)
 
 
+def _fitting(
+    instances: Mapping[int, Sequence[Instance]], study: StudyResults, design: Design
+) -> tuple[Design, list[tuple[int, Instance]], np.random.Generator]:
+    """The design with its number of items, what `_draw` made of it, and the generator that goes on from there."""
+    for items in [design.items] if design.items is not None else range(ITEMS, 0, -1):
+        rng = np.random.default_rng(design.seed)
+        if drawn := _draw(instances, items, design.distinct, rng):
+            return replace(design, items=items), drawn, rng
+    raise _too_few(instances, study, replace(design, items=design.items or 1))
+
+
 def _draw(
-    instances: Mapping[int, Sequence[Instance]], study: StudyResults, design: Design, rng: np.random.Generator
+    instances: Mapping[int, Sequence[Instance]], items: int, distinct: bool, rng: np.random.Generator
 ) -> list[tuple[int, Instance]]:
-    """(count, instance), balanced over counts, and at each count over pairs and then over expressions."""
+    """(count, instance), balanced over counts, and at each count over pairs and then over expressions.
+
+    Empty where there are too few instances.
+    """
     drawn: list[tuple[int, Instance]] = []
     asked: set[tuple[str, str, str]] = set()
     pairs, expressions = Counter[tuple[str, str]](), Counter[str]()
     for count in sorted(instances, key=lambda count: (len(instances[count]), count)):
         here = Counter[tuple[str, str]]()
         mine: set[tuple[str, str, str]] = set()
-        for _ in range(design.items):
-            taken = mine | asked if design.distinct else mine
+        for _ in range(items):
+            taken = mine | asked if distinct else mine
             free = [one for one in instances[count] if one.performed not in taken]
             if not free:
-                raise _too_few(instances, study, design)
+                return []
             chance = rng.permutation(len(free)).tolist()
             best = min(
                 zip(free, chance, strict=True),
@@ -276,18 +295,33 @@ def _draw(
     return drawn
 
 
+def _sparse(instances: Mapping[int, Sequence[Instance]], study: StudyResults, design: Design) -> str:
+    different = {one.performed for ones in instances.values() for one in ones}
+    pairs = _pairs(study)
+    return (
+        f"{design.items} for each of {_listed(sorted(instances))} examples instead of {ITEMS}: the study kept the "
+        f"frames of {len({d[:2] for d in different})} of {pairs} pairs, {len(different)} expressions. To ask for more, "
+        f"run it again with study.figures.pairs={pairs}, or set questionnaire.distinct=false."
+    )
+
+
+def _pairs(study: StudyResults) -> int:
+    identities = len(study.facts["identities"])
+    return identities * (identities - 1)
+
+
 def _too_few(instances: Mapping[int, Sequence[Instance]], study: StudyResults, design: Design) -> InvalidInput:
     different = {one.performed for ones in instances.values() for one in ones}
     fewest = min(len({one.performed for one in ones}) for ones in instances.values())
-    wanted = design.items * (len(instances) if design.distinct else 1)
-    identities = len(study.facts["identities"])
-    shape = f"{len({d[:2] for d in different})} of {identities * (identities - 1)} pairs"
+    wanted = (design.items or 1) * (len(instances) if design.distinct else 1)
+    pairs = _pairs(study)
+    shape = f"{len({d[:2] for d in different})} of {pairs} pairs"
     sparser = ", or 'questionnaire.distinct=false' to ask about an expression once for each count"
     return InvalidInput(
         f"questionnaire: expected {design.items} expressions for each of {_listed(sorted(instances))} examples, "
         f"{wanted} different ones{'' if design.distinct else ' at each count'}, of which the frames of all of "
         f"{', '.join(design.methods)} were kept; {study.folder} has {len(different)} of {shape}, at the leanest count "
-        f"{fewest}. Keep more frames: run the study again with study.figures.pairs={identities * (identities - 1)} "
+        f"{fewest}. Keep more frames: run the study again with study.figures.pairs={pairs} "
         f"(and study.figures.draws=2), cells whose frames were kept are used again. Or ask less: "
         f"questionnaire.items=N{sparser if design.distinct else ''}."
     )

@@ -24,6 +24,7 @@ import typst
 from joblib import Parallel, delayed
 
 from reports.camera import Camera, look
+from reports.html_head import HEAD
 from reports.questionnaire import EXAMPLES, Mesh, Questionnaire, Shown
 from reports.render import render_mesh, write_image
 from retarget.io.files import write_whole
@@ -139,6 +140,7 @@ def _html(made: Questionnaire, sheets: Sequence[Sheet], work: Path) -> str:
         )
     facts = {"id": made.key.id, "columns": COLUMNS, "letters": {str(s.number): list(s.results) for s in sheets}}
     return Template(_PAGE.read_text(encoding="utf-8")).substitute(
+        head=HEAD,
         question=escape(str(made.key.design["question"])),
         last=len(made.key.methods),
         count=len(sheets),

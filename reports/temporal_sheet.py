@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,12 @@ MEASURES = (  # metric, head of the column, digits
     ("acceleration_excess", "excess", 3),
     ("noise_response", "noise response", 2),
 )
+
+
+def temporal_folders(folders: Sequence[Path]) -> tuple[Path, ...]:
+    """Those with a finished study of this kind, among results folders and what lies up to two levels below."""
+    found = [path.parent for folder in folders for at in ("", "*/", "*/*/") for path in folder.glob(f"{at}times.csv")]
+    return tuple(sorted({path for path in found if (path / "study.json").exists()}))
 
 
 def build_temporal_sheet(folder: Path) -> Path:

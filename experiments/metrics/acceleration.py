@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from experiments.metrics.metric import Comparison, Measurement, Metric, lacking
-from retarget.check import InvalidInput
+from experiments.metrics.metric import Comparison, Measurement, Metric, check_ordered, lacking
 from retarget.types import FloatArray, Regions
 
 STILL = 1e-3  # mm per frame^2: a sequence that accelerates less counts as accelerating by this much
@@ -30,11 +29,7 @@ class Acceleration(Metric):
         return lacking("vertices", [self.region], regions.vertices)
 
     def __call__(self, comparison: Comparison) -> Iterator[Measurement]:
-        if not comparison.ordered:
-            raise InvalidInput(
-                "metric acceleration: expected frames of an animation, but this study tests single expressions. "
-                "Choose study=temporal, or another metric."
-            )
+        check_ordered("acceleration", comparison)
         vertices = comparison.regions.vertices[self.region]
         found, true, source = (
             acceleration(frames[:, vertices]) for frames in (comparison.retargeted, comparison.truth, comparison.source)

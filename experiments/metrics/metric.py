@@ -56,6 +56,15 @@ class Metric(ABC):
         """Measure every frame."""
 
 
+def check_ordered(name: str, comparison: Comparison) -> None:
+    """Raises InvalidInput where a metric of time meets single expressions."""
+    if not comparison.ordered:
+        raise InvalidInput(
+            f"metric {name}: expected frames of an animation, but this study tests single expressions. "
+            "Choose study=temporal, or another metric."
+        )
+
+
 def lacking(kind: str, names: Iterable[str], known: Container[str]) -> str | None:
     """The reason of a metric that needs parts of a topology (a field of `Regions`) which it does not name."""
     missing = [name for name in names if name not in known]

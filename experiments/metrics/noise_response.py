@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from experiments.metrics.acceleration import size
-from experiments.metrics.metric import Comparison, Measurement, Metric, lacking
-from retarget.check import InvalidInput
+from experiments.metrics.metric import Comparison, Measurement, Metric, check_ordered, lacking
 from retarget.types import FloatArray, Regions
 
 
@@ -27,11 +26,7 @@ class NoiseResponse(Metric):
         return lacking("vertices", [self.region], regions.vertices)
 
     def __call__(self, comparison: Comparison) -> Iterator[Measurement]:
-        if not comparison.ordered:
-            raise InvalidInput(
-                "metric noise_response: expected a study that adds noise to the source, which study=temporal does. "
-                "Choose it, or another metric."
-            )
+        check_ordered("noise_response", comparison)
         response = 0.0
         if (disturbed := comparison.disturbed) is not None:
             vertices = comparison.regions.vertices[self.region]

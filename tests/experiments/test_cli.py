@@ -8,11 +8,14 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
 
+from experiments import cli
 from experiments.record import RECORD, Record, read_record, write_record
+from reports import report
 
 pytestmark = pytest.mark.xdist_group("cli")
 
@@ -72,6 +75,21 @@ def test_report_and_gate_find_the_finished_study(finished: Path) -> None:
     assert gated.returncode == 1  # the tiny study is not the one that the gates were set on
     assert "FAIL" in gated.stdout
     assert "Traceback" not in gated.stderr
+
+
+def test_report_takes_folders_by_their_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a results folder to read: what the report is asked for."""
+    asked: list[Any] = []
+    names = ["results/quantitative", "results/a b, c", "it's"]
+    for name in names:
+        (tmp_path / name).mkdir(parents=True)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(report, "build_report", lambda *given: asked.append(given) or tmp_path / "all.pdf")
+    monkeypatch.setattr(sys, "argv", ["experiments", "report", *names, "output=all.pdf"])
+    cli.main()
+    ((inputs, output, _),) = asked
+    assert inputs == [tmp_path / name for name in names]
+    assert output == tmp_path / "all.pdf"
 
 
 def test_the_same_command_again_computes_nothing_and_prints_the_same_table(finished: Path) -> None:

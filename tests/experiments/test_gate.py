@@ -1,14 +1,24 @@
-import io
-from dataclasses import replace
-from pathlib import Path
+from __future__ import annotations
 
+import io
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
 import pandas as pd
 import pytest
 from omegaconf import OmegaConf
 from rich.console import Console
 
+from baselines.delta_transfer import DeltaTransfer
+from experiments import run as runner
+from experiments import study as study_module
+from experiments.catalogue import composed
 from experiments.gate import GATES, Gate, compare, gate, propose, read_gates, write_gates
 from retarget.check import InvalidInput
+from retarget.types import Examples, FloatArray, IntArray, Pair, Prepared, RetargetResult
+from tests.experiments.toy import toy
 
 GATE = Gate("plbs", 5, "vertex_l2_mean", "head", 0.5, 0.01, "mm", "lower", "because", "study=ci")
 
@@ -26,6 +36,66 @@ def metrics(value: float = 0.5) -> pd.DataFrame:
 @pytest.mark.parametrize(("value", "passed"), [(0.5, True), (0.509, True), (0.511, False), (0.489, False)])
 def test_a_gate_holds_from_both_sides(value: float, passed: bool) -> None:
     assert compare(metrics(value), [GATE])[0].passed is passed
+
+
+@pytest.mark.parametrize("by", [0.05, -0.05])
+def test_every_gate_under_version_control_fails_when_its_value_moves_by_a_twentieth_of_a_millimetre(by: float) -> None:
+    gates = [entry for entry in read_gates(GATES / "ci.yaml") if entry.unit == "mm"]
+    values = pd.DataFrame([vars(entry) for entry in gates])
+    assert all(verdict.passed for verdict in compare(values, gates))
+    assert not any(verdict.passed for verdict in compare(values.assign(value=values["value"] + by), gates))
+    one = values.assign(value=values["value"] + by * (values.index == 7))
+    assert [verdict.gate for verdict in compare(one, gates) if not verdict.passed] == [gates[7]]
+
+
+@dataclass(frozen=True)
+class Offset(DeltaTransfer):
+    """Delta transfer that puts every vertex of a region (all without one) in the wrong place."""
+
+    by: tuple[float, float, float] = (0.0, 0.0, 0.0)  # mm
+    region: str = "head"
+
+    def prepare(self, pair: Pair) -> Prepared:
+        return Moved(super().prepare(pair), pair.regions.vertices[self.region], self.by)
+
+
+@dataclass(frozen=True)
+class Moved:
+    inner: Any
+    vertices: IntArray
+    by: tuple[float, float, float]
+
+    def fit(self, examples: Examples, animation: FloatArray) -> Moved:
+        return replace(self, inner=self.inner.fit(examples, animation))
+
+    def __call__(self, source_frames: FloatArray, edits: Any = None) -> RetargetResult:
+        result = self.inner(source_frames)
+        frames = result.frames.copy()
+        frames[:, self.vertices] += self.by
+        return replace(result, frames=frames)
+
+
+def study(folder: Path, method: Offset) -> pd.DataFrame:
+    """Metrics of a toy study of one method, as `gate` reads them."""
+    settings = ["study=ci", "method=[delta]", "metric=[vertex_l2,signed_error]", "report=false", "backend=serial",
+                "study.n_examples=[5]", "study.references=[]", "study.figures.pairs=0",
+                "metric.vertex_l2.regions=[head]", "metric.signed_error.regions=[head,lips]"]  # fmt: skip
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runner, "_dataset", lambda config, console: toy(2, subdivisions=2))
+        patch.setattr(study_module, "_method", lambda name, settings: method)
+        runner.run(composed("run", settings), folder, Console(file=io.StringIO()))
+    return pd.read_parquet(folder / "metrics.parquet")
+
+
+def test_the_gate_fails_when_the_vertices_of_a_method_move_by_a_twentieth_of_a_millimetre(tmp_path: Path) -> None:
+    proposal = propose(study(tmp_path / "before", Offset()), "here")
+    assert all(verdict.passed for verdict in compare(study(tmp_path / "again", Offset()), proposal))
+    even = 0.05 / np.sqrt(3)
+    for i, (by, region) in enumerate([((0.05, 0, 0), "head"), ((0, -0.05, 0), "lips"), ((even, even, even), "head")]):
+        moved = compare(study(tmp_path / str(i), Offset(by=by, region=region)), proposal)
+        failed = {verdict.gate.metric for verdict in moved if not verdict.passed}
+        assert failed == {f"signed_error_{axis}" for axis, step in zip("xyz", by, strict=True) if step}
+        assert "vertex_l2_mean" not in failed  # which a constant offset hardly moves: signed errors catch it
 
 
 def test_a_row_without_an_answer_fails_its_gate() -> None:

@@ -35,6 +35,7 @@ def test_a_questionnaire_is_made_and_its_rankings_analysed(results: Path, tmp_pa
     folder = results / "survey_peers"
     assert {path.name for path in (folder / "for_raters").iterdir()} == {"questionnaire.html", "questionnaire.pdf"}
     assert str(folder / "key.json") in said
+    assert "\n3 items\n" in said
     key = read_key(folder / "key.json")
     returned = write(tmp_path / "returned.csv", rank(key, (1.0, 0.0), 3, seed=0))
     call(results, f"rankings={returned}", f"output={tmp_path / 'analysis'}", f"key={folder / 'key.json'}")

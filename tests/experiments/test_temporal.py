@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
+from experiments import cli
 from experiments import run as runner
 from experiments.animation import Animated, take
 from experiments.catalogue import composed
@@ -21,6 +24,7 @@ from experiments.metrics.metric import Comparison, Disturbed
 from experiments.metrics.noise_response import NoiseResponse
 from experiments.protocol import draw
 from experiments.temporal import TemporalStudy
+from reports import report
 from reports.temporal_sheet import build_temporal_sheet
 from retarget.check import InvalidInput
 from retarget.io.principal_shapes import principal_shapes
@@ -90,8 +94,28 @@ def test_the_animation_and_the_page_are_there(folder: Path) -> None:
     assert glb[:4] == b"glTF"
     scene = json.loads(glb[20 : 20 + int.from_bytes(glb[12:16], "little")])
     assert [node["name"] for node in scene["nodes"]] == ["source", "truth", "delta", "lbs"]
-    before = (folder / "temporal.pdf").read_bytes()
-    assert build_temporal_sheet(folder).read_bytes() == before  # from the files alone, the same bytes
+    places = [node["translation"][0] for node in scene["nodes"]]
+    assert np.diff(places).min() > 0.16  # m, the width of a head: side by side
+    (animation,) = scene["animations"]
+    assert [channel["target"]["node"] for channel in animation["channels"]] == [0, 1, 2, 3]
+    assert {scene["accessors"][sampler["input"]]["count"] for sampler in animation["samplers"]} == {FRAMES}
+
+
+def test_the_command_report_makes_the_pages_again_from_files_alone(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page, sheet = folder / "temporal.pdf", folder / "temporal.sheet"
+    before = page.read_bytes()
+    page.unlink()
+    shutil.rmtree(sheet)
+    seen = []
+    monkeypatch.setattr(report, "build_report", lambda inputs, output, progress: seen.extend(inputs) or folder)
+    monkeypatch.setattr(sys, "argv", ["experiments", "report", str(folder.parent)])
+    cli.main()
+    assert seen == [folder.parent]
+    assert page.read_bytes() == before
+    assert (sheet / "content.json").exists()
+    assert str(page) in capsys.readouterr().out.replace("\n", "")
 
 
 def test_a_folder_without_the_study_is_refused(tmp_path: Path) -> None:
@@ -212,6 +236,18 @@ def test_more_jitter_scores_worse() -> None:
     for name in ("acceleration_error", "acceleration_excess"):
         first, second, third = (np.mean(score[name]) for score in scores)
         assert first < second < third
+
+
+def test_more_answer_to_noise_scores_worse() -> None:
+    frames, rng = moving([0, 1, 2, 3]), np.random.default_rng(0)
+    noise, own = rng.normal(size=(3, 2, 3)), rng.normal(size=(3, 2, 3))
+    answers = [Disturbed(noise, frames[:3] + a * own) for a in (0.0, 0.5, 1.0)]
+    scores = [
+        values(NoiseResponse("head"), compared(frames, frames, frames, disturbed=answer))["noise_response"][0]
+        for answer in answers
+    ]
+    assert scores[0] == 0
+    assert scores == sorted(set(scores))
 
 
 def test_noise_response_by_hand() -> None:

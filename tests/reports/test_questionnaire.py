@@ -61,6 +61,22 @@ def form(made: Questionnaire, tmp_path_factory: pytest.TempPathFactory) -> tuple
         return write_form(made, tmp_path_factory.mktemp("form"), SIZE)
 
 
+def test_without_a_number_there_are_as_many_items_as_the_kept_frames_allow(study: StudyResults) -> None:
+    """One pair was kept, with 5 expressions, and each is asked about once: 3 example counts share them."""
+    asked = Design.from_config(CONFIG | {"items": None, "distinct": True})
+    fitted = questionnaire(study, asked)
+    assert len(fitted.shown) == 3
+    assert "1 for each of 5, 15 and 30 examples instead of 5" in fitted.sparse
+    assert "the frames of 1 of 6 pairs" in fitted.sparse
+    assert "study.figures.pairs=6" in fitted.sparse
+    assert fitted.key == questionnaire(study, replace(asked, items=1)).key
+    enough = questionnaire(study, replace(asked, distinct=False))
+    assert len(enough.shown) == 15
+    assert enough.sparse == ""
+    with pytest.raises(InvalidInput, match="expected 2 expressions for each"):
+        questionnaire(study, replace(asked, items=2))
+
+
 def test_items_are_balanced_over_counts_and_letters_over_places(made: Questionnaire) -> None:
     items = made.key.items
     assert [item.number for item in items] == list(range(1, 16))
