@@ -186,6 +186,14 @@ def test_heads_that_move_are_brought_to_rest_and_what_was_removed_is_told(folder
     assert "up to 4.0 degrees and 7.0 mm" in data.favours
 
 
+def test_heads_that_are_still_enough_are_left_where_they_are(folder: Path) -> None:
+    smile = moved(performed("bob", "smile"), 0.9, 0.9)
+    write_obj(folder / "bob" / "smile.obj", smile, FACES)
+    data = settings(folder, align="refuse").load()
+    np.testing.assert_allclose(data.frames("bob", [2])[0], smile, atol=ROUNDING)
+    assert "No mesh was moved; no cranium turns by more than 1 degree or shifts by more than 1 mm" in data.favours
+
+
 def turned_onto_anna(frames: FloatArray) -> FloatArray:
     """What alignment of the neutrals does, by scipy's second implementation of it."""
     anna, bob = (one[0, CRANIUM] - one[0, CRANIUM].mean(axis=0) for one in frames)
@@ -376,6 +384,7 @@ MISTAKES: dict[str, tuple[Spoil, dict[str, Any], str]] = {
         {}, r"anna.neutral\.npz: expected the array 'faces'"),
     "metres": (everyone(lambda v: v / 1000), {}, r"measures 0\.236 mm .* Set dataset\.units=m\."),
     "a hundred times too large": (everyone(lambda v: v * 100), {}, r"neutral\.obj: this head measures 2\.36e\+04 mm"),
+    "a hundred times too small": (everyone(lambda v: v / 100), {}, r"measures 2\.36 mm .* Set dataset\.units=dm\."),
     "one person in cm": (everyone(lambda v: v / 10, "bob/*.obj"), {},
                          r"bob.neutral\.obj: .*about 236 mm: scale all meshes of bob by 9\.4"),
     "one person in inches": (everyone(lambda v: v / 2.54, "bob/*.obj"), {}, "probably in different units"),
