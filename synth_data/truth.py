@@ -18,6 +18,7 @@ import numpy as np
 
 import synth_data.truths
 from retarget.check import InvalidInput, check_faces, check_frames, check_vertices
+from retarget.io.regions import encode
 from retarget.suggest import choose
 from retarget.types import FloatArray, IntArray, Regions
 from synth_data.arkit import MIRRORED, SKIN_NAMES
@@ -152,9 +153,8 @@ def cast(
 
 def person_key(name: str, generic: GenericRig, person: Person) -> str:
     """Fingerprint of what decides a person's performance under a kind of truth, apart from the weights."""
-    return fingerprint(
-        [name, truth_code(), generic.neutral, generic.faces, generic.deltas, person.neutral, repr(person.traits)]
-    )
+    rig = [generic.neutral, generic.faces, generic.deltas]
+    return fingerprint([name, truth_code(), *rig, encode(generic.regions), person.neutral, repr(person.traits)])
 
 
 def truth_code(*packages: str) -> str:

@@ -3,8 +3,8 @@
     python -m synth_data.ict_facekit.author_data CLONE docs/examples/ict_facekit_landmarks.json
 
 takes a few minutes. Regions are those of MakeHuman's head, transferred as docs/own_topology.md describes, from picked
-landmarks. The mesher does not repeat itself bit by bit, so a rebuild makes another template of the same kind; what
-ships is the one that all results refer to.
+landmarks; the lining of the nostrils, which are dimples there, counts as interior. The mesher does not repeat itself
+bit by bit, so a rebuild makes another template of the same kind; what ships is the one that all results refer to.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from retarget.io.mesh import read_mesh
 from retarget.io.regions import write_regions
 from retarget.types import FloatArray, IntArray, Regions
 from synth_data.ict_facekit.clone import find_clone
+from synth_data.ict_facekit.nostrils import nostril_lining
 from synth_data.ict_facekit.regions import FILE
 from synth_data.makehuman.regions import load_regions
 from synth_data.makehuman.targets import load_head
@@ -46,7 +47,11 @@ def author_regions(mesh: Path, landmarks: Path) -> tuple[FloatArray, IntArray, R
     base, _ = load_head()
     regions = transfer_regions((base.vertices, base.faces, load_regions()), skin, faces, marks)
     mirror = cKDTree(skin).query(skin * FLIP)[1]
-    return np.round(separate(skin, faces, regions), DECIMALS), faces, replace(regions, mirror=mirror)
+    lining = nostril_lining(skin, faces, regions.vertices["nose"], mirror)
+    sets = {name: np.setdiff1d(members, lining) for name, members in regions.vertices.items()}
+    sets["interior"] = np.union1d(sets["interior"], lining)
+    regions = replace(regions, vertices=sets, mirror=mirror)
+    return np.round(separate(skin, faces, regions), DECIMALS), faces, regions
 
 
 def main() -> None:

@@ -29,6 +29,7 @@ from synth_data.ict_facekit.identities import LARGEST, IdentitySampler, coeffici
 from synth_data.ict_facekit.model import FaceModel, read_model
 from synth_data.ict_facekit.regions import load_regions
 from synth_data.performed import PerformedDataset
+from synth_data.truth import GenericRig, person_key
 
 REPOSITORY = Path(__file__).parents[2]
 ARCHIVE = REPOSITORY.parent / "shared/data/ict_facekit/ict_facekit_subset.tar.xz"
@@ -152,6 +153,25 @@ def test_what_ships_was_made_from_the_generic_skin(root: Path) -> None:
     np.testing.assert_allclose(stored.skin, skin, atol=1e-5)
     depths = depths_with_room(stored.skin, faces, ours, landmark_depths(load_depths(), ours))
     assert stored.content == content_digest(stored.skin, faces, ours, depths), again
+
+
+def test_nostrils_are_inside_alike_on_both_sides() -> None:
+    regions = load_regions()
+    assert regions.mirror is not None
+    inside, marks = regions.vertices["interior"], regions.landmarks
+    assert not np.isin(inside, regions.vertices["head"]).any()
+    assert not np.isin(inside, [marks[name] for name in ("alare_left", "alare_right", "subnasale", "pronasale")]).any()
+    mirrored = np.sort(regions.mirror[regions.vertices["nose"]])
+    assert len(np.setxor1d(mirrored, regions.vertices["nose"])) < 0.1 * len(mirrored)  # the transfer is not symmetric
+    assert len(np.intersect1d(mirrored, inside)) == 0
+
+
+def test_what_is_kept_of_a_person_belongs_to_the_regions(model: FaceModel) -> None:
+    regions = load_regions()
+    person = IdentitySampler(model, regions)(0)
+    others = replace(regions, vertices={**regions.vertices, "interior": regions.vertices["interior"][1:]})
+    keys = {person_key("a", GenericRig(model.neutral, model.faces, model.units, r), person) for r in (regions, others)}
+    assert len(keys) == 2
 
 
 # --- people ------------------------------------------------------------------------------------------------------
