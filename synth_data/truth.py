@@ -153,8 +153,10 @@ def cast(
 
 def person_key(name: str, generic: GenericRig, person: Person) -> str:
     """Fingerprint of what decides a person's performance under a kind of truth, apart from the weights."""
-    rig = [generic.neutral, generic.faces, generic.deltas]
-    return fingerprint([name, truth_code(), *rig, encode(generic.regions), person.neutral, repr(person.traits)])
+    regions, traits = encode(generic.regions), repr(person.traits)
+    return fingerprint(
+        [name, truth_code(), generic.neutral, generic.faces, generic.deltas, regions, person.neutral, traits]
+    )
 
 
 def truth_code(*packages: str) -> str:
