@@ -64,12 +64,16 @@ class Claim:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What one study says of a claim. value: ours, with its interval; empty where there is none."""
+    """What one study says of a claim. value: ours, with its interval; empty where there is none.
+
+    brief: the sentence in a few words, where the study decides.
+    """
 
     study: str
     status: Status
     value: str
     sentence: str
+    brief: str = ""
 
 
 @dataclass(frozen=True)
@@ -152,8 +156,7 @@ def _why_nothing(claim: Claim) -> str:
         return "Only people can judge this; no record here holds a ranking that people gave."
     if claim.rule in LIMITED:
         return f"No study of the kind {claim.of} is among the results."
-    counts = " and ".join(map(str, claim.counts))
-    return f"No study here measured {claim.metric} of {claim.method} and {claim.other} with {counts} examples."
+    return "No study here measured both methods with these numbers of examples."
 
 
 def _of_study(claims: Sequence[Claim], name: str, study: StudyResults) -> Iterator[tuple[int, Verdict]]:
@@ -230,12 +233,12 @@ def _compared(claim: Claim, name: str, row: Mapping[str, Any]) -> Verdict:
     wanted = row["ratio"] > 1 if claim.rule == "fades" else row["ratio"] < 1
     agreed = supported(pd.Series({key: row[key] for key in _SUPPORT}))
     p = p_value(row["p_holm"])
-    size = f"{size}, p {p if p.startswith('<') else f'= {p}'}"
-    if agreed and wanted:
-        return Verdict(name, Status.REPRODUCED, value, f"All analyses agree ({size}).")
+    p = f"p {p if p.startswith('<') else f'= {p}'}"
+    status = Status.REPRODUCED if agreed and wanted else Status.NOT_REPRODUCED
+    said, brief = "No difference that all analyses support", "no difference"
     if agreed:
-        return Verdict(name, Status.NOT_REPRODUCED, value, f"All analyses agree on the opposite ({size}).")
-    return Verdict(name, Status.NOT_REPRODUCED, value, f"No difference that all analyses support ({size}).")
+        said, brief = ("All analyses agree", "agree") if wanted else ("All analyses agree on the opposite", "opposite")
+    return Verdict(name, status, value, f"{said} ({size}, {p}).", f"{brief}, {p}")
 
 
 _SUPPORT = ["p_holm", "p_sources", "p_targets", "ratio", "ratio_low", "ratio_high", "effect"]
@@ -245,7 +248,9 @@ def _alike(claim: Claim, name: str, row: Mapping[str, Any], value: str, size: st
     low, high = 1 / (1 + claim.margin), 1 + claim.margin
     inside = low <= row["ratio_low"] and row["ratio_high"] <= high
     said = f"The interval {'lies' if inside else 'does not lie'} within {number(low, 2)} to {number(high, 2)} ({size})."
-    return Verdict(name, Status.REPRODUCED if inside else Status.NOT_REPRODUCED, value, said)
+    status = Status.REPRODUCED if inside else Status.NOT_REPRODUCED
+    brief = f"{'within' if inside else 'beyond'} {number(low, 2)} to {number(high, 2)}"
+    return Verdict(name, status, value, said, brief)
 
 
 def _limited(claim: Claim, name: str, table: pd.DataFrame) -> Verdict:
@@ -268,4 +273,4 @@ def _limited(claim: Claim, name: str, table: pd.DataFrame) -> Verdict:
     said = f"{'at least' if claim.rule == 'at_least' else 'at most'} {claim.limit:g}"
     shown = f"{row[claim.column]:g} of {row[claim.per]:g}" if claim.per else number(value, 2)
     status = Status.REPRODUCED if kept else Status.NOT_REPRODUCED
-    return Verdict(name, status, shown, f"Expected {said}. One machine, one run: a value, no test.")
+    return Verdict(name, status, shown, f"Expected {said}. One machine, one run: a value, no test.", said)

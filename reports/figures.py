@@ -10,9 +10,11 @@ from typing import Any
 import matplotlib
 import numpy as np
 import pandas as pd
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedFormatter, FixedLocator, NullFormatter, NullLocator
 
@@ -23,6 +25,8 @@ from reports.text import ROUNDING
 from retarget.types import FloatArray
 
 WIDTH = 170 / 25.4  # inches: the text width of the report
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")  # of conditions, whose colours differ too
+LEGEND_LETTERS = 115  # on one line
 STYLE: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 7.5,
@@ -65,7 +69,7 @@ def box_plot(studies: Sequence[StudyResults], names: Sequence[str], path: Path) 
     counts = sorted({count for study in studies for count in study.facts["n_examples"]})
     values = [pair_values(study) for study in studies]
     row = 0.2 if len(studies) == 1 else 0.07 + 0.105 * len(studies)
-    legend = 0.2 if len(studies) > 1 else 0.0
+    legend = legend_height(names) if len(studies) > 1 else 0.0
     height = 0.2 + row * len(methods) + 0.42 + legend
     step = 0.84 / len(studies)
     with canvas(path, WIDTH, height) as figure:
@@ -92,8 +96,7 @@ def box_plot(studies: Sequence[StudyResults], names: Sequence[str], path: Path) 
             axes.set_title(f"{count} examples", fontsize=7.5, pad=3)
         _finish(figure, panels, methods, shown, error_name(studies[0]), legend)
         if legend:
-            handles = [Patch(facecolor=method_color(j), alpha=0.6, label=name) for j, name in enumerate(names)]
-            figure.legend(handles=handles, loc="lower center", ncols=len(names), frameon=False, borderaxespad=0.1)
+            conditions_legend(figure, names, markers=False)
 
 
 def example_effect(study: StudyResults, path: Path) -> None:
@@ -140,6 +143,72 @@ def example_effect(study: StudyResults, path: Path) -> None:
             axes.tick_params(labelbottom=i < len(methods) <= i + columns, labelleft=i % columns == 0, length=2)
         figure.text(0.53, 0.03 / height, "target examples", ha="center", va="bottom")
         figure.text(0.004, 0.5, error_name(study), rotation=90, ha="left", va="center")
+
+
+def condition_effect(studies: Sequence[StudyResults], names: Sequence[str], path: Path) -> None:
+    """Mean error with its 95 % interval over the number of examples: a small plot per method, a line per condition."""
+    methods = list({m.name: m for study in studies for m in _drawn(study)}.values())
+    counts = sorted({count for study in studies for count in study.facts["n_examples"]})
+    columns = min(5, len(methods))
+    lines = -(-len(methods) // columns)
+    legend = legend_height(names)
+    below = 0.36 + legend
+    height = 0.95 * lines + 0.12 + below
+    spread = 0.3 * (np.arange(len(studies)) - (len(studies) - 1) / 2) / max(len(studies), 2)
+    shown: list[float] = []
+    with canvas(path, WIDTH, height) as figure:
+        grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
+        figure.subplots_adjust(
+            left=0.07, right=0.995, bottom=below / height, top=1 - 0.16 / height, wspace=0.08, hspace=0.3
+        )
+        for axes, m in zip(grid.flat, methods, strict=False):
+            for j, study in enumerate(studies):
+                rows = study.primary[study.primary["method"] == m.name].set_index("n_examples").reindex(counts)
+                mean, low, high = rows[["mean", "ci_low", "ci_high"]].to_numpy(dtype=np.float64).T
+                color, at = method_color(j), np.arange(len(counts)) + spread[j]
+                if (mean <= ROUNDING).any():
+                    axes.text(0.04, 0.05, "exact", transform=axes.transAxes, fontsize=5.5, color=color)
+                mean = np.where(mean > ROUNDING, mean, np.nan)
+                axes.plot(at, mean, "-", lw=1.0, color=color, marker=MARKERS[j % len(MARKERS)], ms=2.6, mew=0)
+                axes.vlines(at, np.where(low > ROUNDING, low, np.nan), high, color=color, lw=0.8)
+                if m.kind != "reference":
+                    shown += [v for v in (*mean, *np.maximum(low, mean / 2), *high) if v > ROUNDING]
+            axes.set_title(m.label, fontsize=7, loc="left", pad=2)
+            axes.grid(axis="y", color="#ececec", lw=0.4)
+            axes.set_axisbelow(True)
+        for axes in list(grid.flat)[len(methods) :]:
+            axes.set_visible(False)
+        if shown:
+            log_ticks(grid[0, 0], "y", min(shown), max(shown))
+        for i, axes in enumerate(grid.flat):
+            axes.set_xlim(-0.3, len(counts) - 0.7)
+            axes.set_xticks(range(len(counts)), [str(count) for count in counts])
+            axes.tick_params(labelbottom=i < len(methods) <= i + columns, labelleft=i % columns == 0, length=2)
+        figure.text(0.53, (0.03 + legend) / height, "target examples", ha="center", va="bottom")
+        figure.text(0.004, 0.5, error_name(studies[0]), rotation=90, ha="left", va="center")
+        conditions_legend(figure, names)
+
+
+def conditions_legend(figure: Figure, names: Sequence[str], markers: bool = True) -> None:
+    """The colour of each condition, and its marker, at the lower edge; `legend_height` inches."""
+    handles: list[Artist] = [
+        Line2D([], [], color=method_color(j), marker=MARKERS[j % len(MARKERS)], ms=4, mec="white", mew=0.4, label=name)
+        if markers
+        else Patch(facecolor=method_color(j), alpha=0.6, label=name)
+        for j, name in enumerate(names)
+    ]
+    figure.legend(handles=handles, loc="lower center", ncols=_legend_columns(names), frameon=False,
+                  bbox_to_anchor=(0.5, 0.0), borderpad=0.3, borderaxespad=0, columnspacing=1.8)  # fmt: skip
+
+
+def legend_height(names: Sequence[str]) -> float:
+    """Inches that `conditions_legend` needs."""
+    return 0.08 + 0.17 * -(-len(names) // _legend_columns(names))
+
+
+def _legend_columns(names: Sequence[str]) -> int:
+    wide = sum(len(name) + 6 for name in names) > LEGEND_LETTERS
+    return max(LEGEND_LETTERS // (max(map(len, names)) + 6), 1) if wide else len(names)
 
 
 def _panels(figure: Figure, count: int, bottom: float) -> list[Axes]:

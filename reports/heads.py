@@ -17,9 +17,8 @@ from reports.render import render_mesh, write_image
 from reports.text import number
 from retarget.types import FloatArray
 
-SIZE = (290, 370)  # pixels of one head: 270 per inch at 34.5 mm
+SIZE = (216, 264)  # pixels of one head: 270 per inch at 20 mm
 TURN, RAISE = 24.0, 3.0  # degrees from which a head is seen
-_COLUMNS = 9  # methods side by side on one page
 _PARTS = {  # named parts of a result, in the order of Figs 12 and 13: label, what a displacement is added to
     "source_reconstruction": ("source rebuilt", None),
     "missing_source": ("missing, source", "source_neutral"),
@@ -33,6 +32,7 @@ PEERS = ("lbs", "landmark_dt", "sumner_popovic", "ebfr", "alm", "adt", "anaconda
 _REBUILT = ("anacondar", "plbs", "plbs_residual", "anacondar_paper")  # whose patchwise reconstruction is shown
 _SOURCE_PART = "source_reconstruction"
 _STILL = 0.35  # of the largest motion: a vertex that moves less does not decide how low the picture reaches
+_FACE = 0.06  # of the largest motion: what moves less is the back of the head, and a picture may cut it
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class HeadRow:
 
 @dataclass(frozen=True)
 class HeadPage:
-    """One page: expressions x methods for one pair and example count."""
+    """A grid: expressions x methods for one pair and example count."""
 
     source: str
     target: str
@@ -65,7 +65,7 @@ class HeadPage:
 
 @dataclass(frozen=True)
 class HeadPages:
-    """All pages of a study with their common scale."""
+    """All grids of a study with their common scale."""
 
     limit_mm: float
     pages: tuple[HeadPage, ...] = ()
@@ -118,10 +118,8 @@ def render_heads(study: StudyResults, folder: Path, prefix: str, expressions: in
     limit = nice(max((float(np.nanquantile(_errors(c), 0.97)) for c in cells if c.method != "neutral"), default=1.0))
     darkroom = _Darkroom(folder, prefix, limit)
     shown = [m for m in study.methods if m.name != "neutral"]
-    split = max(-(-len(shown) // _COLUMNS), 1)
-    parts = [shown[len(shown) * i // split : len(shown) * (i + 1) // split] for i in range(split)]
     kept = tuple(dict.fromkeys((counts[0], counts[-1])))
-    pages = tuple(_page(study, darkroom, first, count, expressions, part) for count in kept for part in parts)
+    pages = tuple(_page(study, darkroom, first, count, expressions, shown) for count in kept)
     peers = tuple(page for count in kept for page in _peer_page(study, darkroom, first, count, expressions))
     part_pages = tuple(_part_pages(study, darkroom, first, expressions))
     worst = tuple(_worst(study, darkroom, cells))
@@ -265,8 +263,19 @@ def lively(frames: Frames, count: int) -> list[int]:
 
 
 def _camera(frames: Frames, size: tuple[int, int]) -> Camera:
-    """A view that holds what is `framed`: the same for all pictures of a row."""
-    return look(framed(frames), size, turn=TURN, raise_=RAISE, margin=0.03)
+    """A view that holds both faces in all frames: the same for all pictures of a grid."""
+    return look(_faces(frames), size, turn=TURN, raise_=RAISE, margin=0.04)
+
+
+def _faces(frames: Frames) -> FloatArray:
+    """(m, 3) mm: what is `framed`, without what lies beside, above and behind the parts that move."""
+    motion = np.linalg.norm(frames.truth - frames.target_neutral, axis=2).max(axis=0)
+    face = motion > _FACE * float(motion.max())
+    points = framed(frames)
+    if not face.any():
+        return points
+    moving = np.concatenate([skin[face] for skin in (*frames.source, *frames.truth)])
+    return points[((points >= moving.min(axis=0)) & (points <= moving.max(axis=0))).all(axis=1)]
 
 
 def framed(frames: Frames) -> FloatArray:

@@ -15,12 +15,24 @@ _ARTIST = (
 )
 
 
-def limits(gathered: Gathered) -> Iterator[tuple[str, str]]:
-    """(heading, text) for each thing that these results leave open."""
+_TRUTHS = (
+    "Truth is made by a model, and every model favours the methods that resemble it; what each favours stands beside "
+    "what was found."
+)
+
+
+def limits(gathered: Gathered, truths: bool = True) -> Iterator[tuple[str, str]]:
+    """(heading, text) for each thing that these results leave open.
+
+    truths: whether what each kind of truth favours is repeated; False where the same document has it already.
+    """
     studies = [study for group in gathered.groups for study in group]
     yield "People who judge.", _ARTIST
-    for truth, text in _truths(studies).items():
+    found = _truths(studies)
+    for truth, text in found.items() if truths else ():
         yield f"Truth {truth}.", text
+    if found and not truths:
+        yield "Truth.", _TRUTHS
     if studies:
         people = min(len(study.facts["identities"]) for study in studies)
         few = f"Fewer than {FEWEST} carry no claim at all. " if people < FEWEST else ""

@@ -5,16 +5,23 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from matplotlib.lines import Line2D
 
 from reports.colors import method_color
-from reports.figures import WIDTH, canvas, error_name, exact, log_ticks, no_result
+from reports.figures import (
+    MARKERS,
+    WIDTH,
+    canvas,
+    conditions_legend,
+    error_name,
+    exact,
+    legend_height,
+    log_ticks,
+    no_result,
+)
 from reports.ordering import Ordering
 from reports.text import ROUNDING
 
-MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")  # of conditions, whose colours differ too
-ROW, LEGEND_LINE = 0.23, 0.17  # inches
-LEGEND_LETTERS = 115  # on one line
+ROW = 0.23  # inches
 
 
 def ordering_plot(ordering: Ordering, path: Path) -> None:
@@ -22,9 +29,7 @@ def ordering_plot(ordering: Ordering, path: Path) -> None:
     methods = [method for method in ordering.methods if method.name != "neutral"]  # its error is the motion itself
     counts = ordering.counts
     names = ordering.conditions
-    wide = sum(len(name) + 6 for name in names) > LEGEND_LETTERS
-    columns = max(LEGEND_LETTERS // (max(map(len, names)) + 6), 1) if wide else len(names)
-    legend = 0.08 + LEGEND_LINE * -(-len(names) // columns)
+    legend = legend_height(names)
     row = ROW + 0.035 * max(len(names) - 3, 0)
     height = 0.2 + row * len(methods) + 0.4 + legend
     with canvas(path, WIDTH, height) as figure:
@@ -60,11 +65,4 @@ def ordering_plot(ordering: Ordering, path: Path) -> None:
         panels[0].set_yticks(range(len(methods)), [method.label for method in methods])
         panels[0].set_ylim(len(methods) - 0.5, -0.5)
         figure.text(0.595, (legend + 0.03) / height, error_name(ordering.studies[0]), ha="center", va="bottom")
-        handles = [
-            Line2D(
-                [], [], color=method_color(j), marker=MARKERS[j % len(MARKERS)], ms=4, mec="white", mew=0.4, label=name
-            )
-            for j, name in enumerate(names)
-        ]
-        figure.legend(handles=handles, loc="lower center", ncols=columns, frameon=False, bbox_to_anchor=(0.5, 0.0),
-                      borderpad=0.3, borderaxespad=0, columnspacing=1.8)  # fmt: skip
+        conditions_legend(figure, names)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,17 +22,19 @@ from matplotlib.colors import to_hex
 from reports import figures, tables
 from reports.claims import Judged, Status, compared, judge, read_claims
 from reports.colors import ERROR_COLORMAP
+from reports.common import common_times, merged_facts, merged_methods, shared_sentences
 from reports.findings import conditions, favours, findings
 from reports.folders import Gathered, Sheet, gather
 from reports.heads import HeadPages, render_heads
 from reports.limits import limits
 from reports.load import StudyResults
-from reports.method_pages import patch_figure, structure_figure
+from reports.method_pages import patch_figure
 from reports.ordering import SANITY, Ordering, overview
 from reports.ordering_plot import ordering_plot
 from reports.page import write_page
 from reports.sheet import pictures
 from reports.statistics import REPLICATES, benjamini_hochberg
+from reports.structure import structure_figure
 from reports.summary import paired_tests, region_tests
 from retarget.check import InvalidInput
 from retarget.io.files import write_whole
@@ -62,16 +65,19 @@ def build_report(
         pdf = cast(bytes, typeset(content, work))
         write_whole(path, lambda temporary: temporary.write_bytes(pdf))
         progress("page")
+        claims = content["claims"] if len(gathered.groups) == 1 and not gathered.tables else None
         for chapter, group in zip(content["chapters"], gathered.groups, strict=True):
             own = f"{path.stem}-{chapter['name']}" if len(gathered.groups) > 1 else path.stem
-            write_page(path.with_name(f"{own}.html"), alone(chapter, group), group, work)
+            write_page(path.with_name(f"{own}.html"), alone(chapter, group, claims), group, work)
     return path
 
 
-def alone(chapter: dict[str, Any], group: tuple[StudyResults, ...]) -> dict[str, Any]:
-    """A chapter with the claims and limits of its studies alone: what a page prints."""
+def alone(
+    chapter: dict[str, Any], group: tuple[StudyResults, ...], claims: dict[str, Any] | None = None
+) -> dict[str, Any]:
+    """A chapter with the claims, decided already or not, and limits of its studies alone: what a page prints."""
     own = Gathered(tuple(study.folder for study in group), (group,), ())
-    return chapter | {"claims": _claims(own), "limits": list(limits(own))}
+    return chapter | {"claims": claims or _claims(own), "limits": list(limits(own))}
 
 
 def describe(gathered: Gathered, work: Path, progress: Callable[[str], None]) -> dict[str, Any]:
@@ -81,6 +87,7 @@ def describe(gathered: Gathered, work: Path, progress: Callable[[str], None]) ->
     progress("published claims")
     titles = [chapter["title"] for chapter in chapters] + [sheet.title for sheet in gathered.sheets]
     structure_figure(work / "structure.svg")
+    named = _named(gathered)
     return {
         "title": titles[0] if len(titles) == 1 else "Retargeting methods, evaluated",
         "description": _description(gathered) if len(titles) == 1 else f"{len(titles)} studies: {'; '.join(titles)}.",
@@ -89,9 +96,45 @@ def describe(gathered: Gathered, work: Path, progress: Callable[[str], None]) ->
         "sheets": [_sheet(sheet, work, i) for i, sheet in enumerate(gathered.sheets)],
         "claims": _claims(gathered),
         "patches": next((p for i, s in enumerate(studies) if (p := patch_figure(s, work, f"patches{i}"))), None),
-        "limits": list(limits(gathered)),
+        "limits": list(limits(gathered, truths=False)),
+        "methods": merged_methods(named),
+        "protocol": merged_facts([(name, _protocol(study)) for name, study in named]),
+        "facts": merged_facts([(name, _facts(study)) for name, study in named]),
+        "measured": _measured(studies),
+        "replicates": REPLICATES,
         "colors": [to_hex(ERROR_COLORMAP(x)) for x in np.linspace(0, 1, 11)],
     }
+
+
+def _named(gathered: Gathered) -> list[tuple[str, StudyResults]]:
+    """Every comparison with a short name of its own."""
+    several = len(gathered.groups) > 1
+    named = []
+    for group in gathered.groups:
+        names = Ordering(group).conditions if len(group) > 1 else ("",)
+        for name, study in zip(names, group, strict=True):
+            said = [str(study.facts["study"])] * several + [name] * bool(name)
+            named.append((", ".join(said), study))
+    return named
+
+
+def _measured(studies: Sequence[StudyResults]) -> list[str]:
+    """The primary metrics and their units; the template has the formula of the usual one."""
+    return sorted({f"{study.facts['primary_metric']} in {study.unit}" for study in studies})
+
+
+def _protocol(study: StudyResults) -> list[tuple[str, str]]:
+    facts = study.facts
+    tests = study.metrics.groupby(["source", "target", "draw"])["expression"].nunique().max()
+    return [
+        ("identities", f"{len(facts['identities'])} ({', '.join(facts['identities'])})"),
+        ("draws for each pair", str(facts["draws"])),
+        ("expressions held out for the test", str(int(tests))),
+        ("expressions in all", str(facts["expressions"])),
+        ("examples", ", ".join(map(str, facts["n_examples"]))),
+        ("source's counterparts of the examples", str(study.cells["correspondence"].iloc[0])),
+        ("primary measure", f"{facts['primary_metric']} on region {facts['primary_region']}"),
+    ]
 
 
 def _description(gathered: Gathered) -> str:
@@ -103,16 +146,29 @@ def _chapter(group: Sequence[StudyResults], work: Path, number: int, progress: C
     """The studies of one name: one, or the conditions of one another."""
     facts = group[0].facts
     seed = int(facts["provenance"]["seed"])
-    box = f"box{number}.svg"
+    box, effect = f"box{number}.svg", f"effect{number}.svg"
+    names = Ordering(group).conditions if len(group) > 1 else ("",)
     progress("plots")
-    figures.box_plot(group, [study.differs for study in group], work / box)
+    figures.box_plot(group, names, work / box)
+    several_counts = len({count for study in group for count in study.facts["n_examples"]}) > 1
+    if len(group) > 1 and several_counts:
+        figures.condition_effect(group, names, work / effect)
+    studies = [_study(study, work, f"study{number}-{i}", progress) for i, study in enumerate(group)]
+    shared = shared_sentences([study["findings"] for study in studies])
+    times = common_times(group)
     return {
         "name": str(facts["study"]),
         "title": facts["title"],
         "description": " ".join(str(facts["description"]).split()),
         "box": box,
+        "effect": effect if len(group) > 1 and several_counts else None,
         "correspondences": tables.correspondence_rows(group, seed),
-        "studies": [_study(study, work, f"study{number}-{i}", progress) for i, study in enumerate(group)],
+        "shared": shared,
+        "times": times,
+        "studies": [
+            study | {"name": name, "own": [said for said in study["findings"] if said not in shared]}
+            for name, study in zip(names, studies, strict=True)
+        ],
         "overview": _overview(group, work, f"ordering{number}.svg"),
     }
 
@@ -142,10 +198,46 @@ def _claims(gathered: Gathered) -> dict[str, Any]:
     judged = judge(read_claims(), named, gathered.tables)
     return {
         "several": len(named) > 1,
+        "studies": list(dict.fromkeys(v.study for j in judged for v in j.verdicts if v.study)),
+        "reasons": _reasons(judged),
+        "rows": list(_claim_rows(judged)),
         "counts": {status.value: sum(j.status == status for j in judged) for status in Status},
         "shown": [_claim(j) for j in judged if any(v.study for v in j.verdicts)],
         "untested": [_claim(j) for j in judged if not any(v.study for v in j.verdicts)],
     }
+
+
+def _reasons(judged: Sequence[Judged]) -> list[str]:
+    """Why claims could not be tested, each reason once."""
+    sentences = (v.sentence for j in judged for v in j.verdicts if v.status == Status.NOT_TESTABLE)
+    return list(dict.fromkeys(sentences))
+
+
+def _claim_rows(judged: Sequence[Judged]) -> Iterator[dict[str, Any]]:
+    """A row for each claim; `entries` are its numbers of examples, those of which the same is said together."""
+    reasons = _reasons(judged)
+    for (section, says), same in itertools.groupby(judged, key=lambda j: (j.claim.section, j.claim.says)):
+        entries: list[dict[str, Any]] = []
+        group = list(same)
+        for j in group:
+            notes = sorted({reasons.index(v.sentence) for v in j.verdicts if v.status == Status.NOT_TESTABLE})
+            values = {v.study: {"value": v.value, "brief": v.brief} for v in j.verdicts if v.value}
+            entry = {"status": j.status.value, "notes": notes, "values": values}
+            if not values and entries and {k: entries[-1][k] for k in entry} == entry:
+                entries[-1]["counts"] += f", {_examples(j)}"
+            else:
+                entries.append({"counts": _examples(j)} | entry)
+        yield {
+            "section": section,
+            "says": says,
+            "published": group[0].claim.published,
+            "compared": compared(group[0].claim),
+            "entries": entries,
+        }
+
+
+def _examples(judged: Judged) -> str:
+    return ", ".join(map(str, judged.claim.counts))
 
 
 def _claim(judged: Judged) -> dict[str, Any]:
@@ -239,16 +331,6 @@ def _study(study: StudyResults, work: Path, prefix: str, progress: Callable[[str
         "solves": tables.solve_rows(study),
         "cells": len(study.cells),
         "settings": tables.setting_rows(study),
-        "protocol": {
-            "identities": len(facts["identities"]),
-            "names": ", ".join(facts["identities"]),
-            "draws": facts["draws"],
-            "expressions": facts["expressions"],
-            "vertices": facts["vertices"],
-            "replicates": REPLICATES,
-            "tests": int(study.metrics.groupby(["source", "target", "draw"])["expression"].nunique().max()),
-            "correspondence": str(study.cells["correspondence"].iloc[0]),
-        },
     }
 
 

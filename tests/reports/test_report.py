@@ -90,7 +90,9 @@ def test_every_part_is_there(pages: list[str]) -> None:
         "regularisation = 0.001",
     ):
         assert words in text, words
-    assert len(pages) == 12
+    assert len(pages) <= 10
+    for words in ("How it was measured", "Settings of the methods", "What was run"):
+        assert text.count(words) == 1, words  # said once
     for words in ("synthetic.", "cranium", "real recordings", "Failures", "None, "):
         assert words not in text, words
 
