@@ -190,9 +190,8 @@ def _sheet(sheet: Sheet, work: Path, number: int) -> dict[str, Any]:
 def _claims(gathered: Gathered) -> dict[str, Any]:
     """Published claims with what each study says of them; those without any value apart."""
     named = {
-        f"{study.facts['study']}{f', {study.differs}' if len(group) > 1 else ''}": study
-        for group in gathered.groups
-        for study in group
+        name or str(study.facts["study"]): study
+        for name, study in _named(gathered)
         if study.facts["dataset"]["truth"] not in SANITY
     }
     judged = judge(read_claims(), named, gathered.tables)
