@@ -240,4 +240,6 @@ def _settings(settings: Any) -> Iterator[tuple[str, Any]]:
 def _smallest(study: StudyResults, primary: pd.DataFrame, count: int) -> str | None:
     means: Mapping[Any, float] = primary["mean"].dropna().to_dict()
     known = [name for name in study.tested if (name, count) in means]
+    if any(means[(name, count)] < 0 for name in known):
+        return None  # a signed measure: the smallest is not the best
     return min(known, key=lambda name: means[(name, count)], default=None)

@@ -6,6 +6,7 @@ import io
 import json
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from reports.folders import gather
 from reports.load import load
 from reports.report import build_report, describe, typeset
 from reports.summary import paired_tests
-from reports.tables import correspondence_rows, measure_rows, region_rows, solve_rows
+from reports.tables import correspondence_rows, measure_rows, region_rows, solve_rows, summary_rows
 from retarget.check import InvalidInput
 from tests.reports.example_study import FAMILY, write_example_study
 
@@ -196,6 +197,20 @@ def test_the_best_mean_of_a_control_is_marked(folder: Path) -> None:
         "the smallest mean error is that of plbs residual (control),"
         in findings(study, paired_tests(study.metrics, "plbs", FAMILY))[0]
     )
+
+
+def test_no_mean_of_a_signed_measure_is_the_best(folder: Path) -> None:
+    (study,) = load([folder])
+    rows = summary_rows(study, "vertex_l2_mean", "head")
+    assert sum(cell["best"] for row in rows for cell in row["cells"]) == 3  # one at each number of examples
+    signed = replace(study, summary=study.summary.assign(mean=study.summary["mean"] - 0.05))
+    means = signed.at("vertex_l2_mean", "head").query("method == 'plbs_residual'")["mean"]
+    assert (means < 0).any()
+    rows = summary_rows(signed, "vertex_l2_mean", "head")
+    best = [any(row["cells"][i]["best"] for row in rows) for i in range(3)]
+    tested = signed.at("vertex_l2_mean", "head").query("method in @signed.tested")
+    below = tested.groupby("n_examples")["mean"].min() < 0
+    assert best == (~below).tolist()
 
 
 def test_bold_regions_survive_the_correction(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
