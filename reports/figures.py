@@ -256,7 +256,7 @@ def ratio_plot(study: StudyResults, tests: pd.DataFrame, path: Path) -> None:
     values, counts = pair_values(study), study.facts["n_examples"]
     names = [m for m in study.methods if m.name in set(tests["method"])]
     reference = study.facts["reference"]
-    with canvas(path, WIDTH, 0.65 + 0.22 * max(len(names), 1)) as figure:
+    with canvas(path, WIDTH, 0.65 + 0.18 * max(len(names), 1)) as figure:
         panels = _panels(figure, len(counts), bottom=0.45)
         everything: list[float] = [0.9, 1.1]
         for axes, count in zip(panels, counts, strict=True):
