@@ -92,7 +92,7 @@ def test_every_part_is_there(pages: list[str]) -> None:
     ):
         assert words in text, words
     assert len(pages) <= 10
-    for words in ("How it was measured", "Settings of the methods", "What was run"):
+    for words in ("Samples cluster.", "Settings of the methods", "What was run"):
         assert text.count(words) == 1, words  # said once
     for words in ("synthetic.", "cranium", "real recordings", "Failures", "None, "):
         assert words not in text, words
