@@ -129,7 +129,7 @@ def test_several_folders_stand_side_by_side(tmp_path: Path) -> None:
     assert path == tmp_path / "report.pdf"
     text = " ".join(_pages(path))
     assert "Conditions side by side" in text
-    assert "dataset.noise_mm=0.3" in text
+    assert "noise_mm 0.3" in text
     assert "0.3 mm noise" in text
     assert "With 3 identities nothing is testable" in text
     assert "not testable" in text
