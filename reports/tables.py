@@ -216,15 +216,25 @@ def _reasons(reasons: pd.Series[str]) -> str:
 
 def setting_rows(study: StudyResults) -> list[Row]:
     """{label, kind, description, settings} of every row of the study's table."""
-    return [
-        {
-            "label": m.label,
-            "kind": m.kind,
-            "description": " ".join(m.description.split()),
-            "settings": [f"{key} = {value}" for key, value in _settings(m.settings) if m.kind != "reference"],
-        }
-        for m in study.methods
-    ]
+    told: dict[str, dict[str, Any]] = {}  # by label: those written out
+    rows = []
+    for m in study.methods:
+        own = dict(_settings(m.settings)) if m.kind != "reference" else {}
+        settings = _beside(own, told)
+        if len(settings) == len(own):
+            told[m.label] = own
+        description = " ".join(m.description.split())
+        rows.append({"label": m.label, "kind": m.kind, "description": description, "settings": settings})
+    return rows
+
+
+def _beside(own: Mapping[str, Any], told: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Settings as text; where most are those of a row above, what differs from it."""
+    for label, above in told.items():
+        differing = [f"{key} = {value}" for key, value in own.items() if above.get(key) != value]
+        if own.keys() == above.keys() and 2 * len(differing) < len(own) - 2:
+            return [f"as {label}, but {differing[0]}", *differing[1:]] if differing else [f"as {label}"]
+    return [f"{key} = {value}" for key, value in own.items()]
 
 
 def _settings(settings: Any) -> Iterator[tuple[str, Any]]:
