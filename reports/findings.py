@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from reports.load import StudyResults
-from reports.text import estimate, number, p_value
+from reports.text import estimate, number
 
 ALPHA = 0.05
 _PER_COMPARISON = (
@@ -68,7 +68,8 @@ def _at(study: StudyResults, tests: pd.DataFrame, count: int) -> str:
     for smaller, word in ((True, "smaller"), (False, "larger")):
         names = [_claim(study, row) for row in claims if (row["ratio"] < 1) == smaller]
         if names:
-            said.append(f"Error {word} than that of {study.label(study.facts['reference'])}: {', '.join(names)}.")
+            than = f"Error {word} than that of {study.label(study.facts['reference'])}, ratio [95 % interval]"
+            said.append(f"{than}: {', '.join(names)}.")
     unclaimed = [study.label(str(row["method"])) for _, row in here.iterrows() if not supported(row)]
     if unclaimed and not _limit(study):
         said.append(f"No difference to it is claimed for {', '.join(unclaimed)}.")
@@ -76,9 +77,7 @@ def _at(study: StudyResults, tests: pd.DataFrame, count: int) -> str:
 
 
 def _claim(study: StudyResults, row: pd.Series[float]) -> str:
-    ratio = estimate(row["ratio"], row["ratio_low"], row["ratio_high"], digits=2)
-    p = p_value(row["p_holm"])
-    return f"{study.label(str(row['method']))} (ratio {ratio}, p {p if p.startswith('<') else f'= {p}'})"
+    return f"{study.label(str(row['method']))} {estimate(row['ratio'], row['ratio_low'], row['ratio_high'], digits=2)}"
 
 
 def _limit(study: StudyResults) -> str:

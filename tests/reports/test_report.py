@@ -185,7 +185,7 @@ def test_claims_are_made_with_enough_people_and_only_then(tmp_path: Path) -> Non
         (study,) = load([write_example_study(tmp_path / str(people), people, draws=1, failures=False)])
         tests = paired_tests(study.metrics, "plbs", FAMILY)
         text = " ".join(findings(study, tests))
-        assert ("Error larger than that of plbs: delta (ratio" in text) == claimed
+        assert ("Error larger than that of plbs, ratio [95 % interval]: delta " in text) == claimed
         assert ("no difference can be claimed" in text) != claimed
         assert ("Each claim holds by itself at about 5 %" in text) == claimed
         assert "= <" not in text
