@@ -31,6 +31,8 @@ from synth_data.truth import OPPOSITE, GenericRig, Performer, Person, Rehearsed,
 from synth_data.truths.ebfr_arkit import HELD, Rigger, generic_units
 from synth_data.weights import blending_weights
 
+pytestmark = pytest.mark.xdist_group("truth")  # its people perform once
+
 Base = tuple[BaseHead, Targets, Regions]
 KINDS = truth_kinds()
 TOLERANCE = {"nonlinear": 0.02, "ebfr_arkit": 0.02}  # mm by which solvers and iterations may break the symmetry
