@@ -73,7 +73,7 @@ def box_plot(studies: Sequence[StudyResults], names: Sequence[str], path: Path) 
     height = 0.2 + row * len(methods) + 0.42 + legend
     step = 0.84 / len(studies)
     with canvas(path, WIDTH, height) as figure:
-        panels = _panels(figure, len(counts), bottom=0.42 + legend)
+        panels = panels_of(figure, len(counts), bottom=0.42 + legend)
         shown: list[float] = []
         for axes, count in zip(panels, counts, strict=True):
             for i, m in enumerate(methods):
@@ -94,29 +94,18 @@ def box_plot(studies: Sequence[StudyResults], names: Sequence[str], path: Path) 
                     if m.kind != "reference":
                         shown += [float(here.min()), float(here.max())]
             axes.set_title(f"{count} examples", fontsize=7.5, pad=3)
-        _finish(figure, panels, methods, shown, error_name(studies[0]), legend)
+        finish_panels(figure, panels, methods, shown, error_name(studies[0]), legend)
         if legend:
             conditions_legend(figure, names, markers=False)
 
 
 def example_effect(study: StudyResults, path: Path) -> None:
     """Mean error with its 95 % interval over the number of examples: a small plot per method, all others in grey."""
-    primary, methods, counts = study.primary, _drawn(study), study.facts["n_examples"]
-    columns = min(5, len(methods))
-    lines = -(-len(methods) // columns)
-    height = 1.02 * lines + 0.3
+    methods, counts = _drawn(study), study.facts["n_examples"]
     at = np.arange(len(counts))
-    curves = {}
-    for m in methods:
-        rows = primary[primary["method"] == m.name].set_index("n_examples").reindex(counts)
-        curves[m.name] = rows[["mean", "ci_low", "ci_high"]].to_numpy(dtype=np.float64).T
-    known = [curves[m.name] for m in methods if m.kind != "reference"]
-    positive = [v for mean, low, high in known for v in (*mean, *np.maximum(low, mean / 2), *high) if v > ROUNDING]
-    with canvas(path, WIDTH, height) as figure:
-        grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
-        figure.subplots_adjust(
-            left=0.07, right=0.995, bottom=0.36 / height, top=1 - 0.16 / height, wspace=0.08, hspace=0.28
-        )
+    curves = {m.name: _curves(study, m, counts) for m in methods}
+    shown = [value for m in methods if m.kind != "reference" for value in _positive(*curves[m.name])]
+    with _small_plots(path, methods, counts, line=1.02, margin=-0.06, below=0.36, hspace=0.28) as (figure, grid):
         for axes, m in zip(grid.flat, methods, strict=False):
             for other in methods:
                 if other.kind != "reference":
@@ -129,42 +118,21 @@ def example_effect(study: StudyResults, path: Path) -> None:
                 axes.text(0.5, 0.5, "no result", transform=axes.transAxes, ha="center", fontsize=6, color="#a3216f")
             elif (mean <= ROUNDING).any():
                 axes.text(0.04, 0.05, "exact", transform=axes.transAxes, fontsize=6, color=color)
-            axes.set_title(m.label, fontsize=7, loc="left", pad=2)
-            axes.grid(axis="y", color="#ececec", lw=0.4)
-            axes.set_axisbelow(True)
-        for axes in list(grid.flat)[len(methods) :]:
-            axes.set_visible(False)
-        if positive:
-            log_ticks(grid[0, 0], "y", min(positive), max(positive))
-        for axes in grid.flat:
-            axes.set_xlim(-0.3, len(counts) - 0.7)
-            axes.set_xticks(at, [str(count) for count in counts])
-        for i, axes in enumerate(grid.flat):
-            axes.tick_params(labelbottom=i < len(methods) <= i + columns, labelleft=i % columns == 0, length=2)
-        figure.text(0.53, 0.03 / height, "target examples", ha="center", va="bottom")
-        figure.text(0.004, 0.5, error_name(study), rotation=90, ha="left", va="center")
+        _finish_small(figure, grid, counts, shown, error_name(study))
 
 
 def condition_effect(studies: Sequence[StudyResults], names: Sequence[str], path: Path) -> None:
     """Mean error with its 95 % interval over the number of examples: a small plot per method, a line per condition."""
     methods = list({m.name: m for study in studies for m in _drawn(study)}.values())
     counts = sorted({count for study in studies for count in study.facts["n_examples"]})
-    columns = min(5, len(methods))
-    lines = -(-len(methods) // columns)
     legend = legend_height(names)
-    below = 0.36 + legend
-    height = 0.95 * lines + 0.12 + below
     spread = 0.3 * (np.arange(len(studies)) - (len(studies) - 1) / 2) / max(len(studies), 2)
     shown: list[float] = []
-    with canvas(path, WIDTH, height) as figure:
-        grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
-        figure.subplots_adjust(
-            left=0.07, right=0.995, bottom=below / height, top=1 - 0.16 / height, wspace=0.08, hspace=0.3
-        )
+    below = 0.36 + legend
+    with _small_plots(path, methods, counts, line=0.95, margin=0.12, below=below, hspace=0.3) as (figure, grid):
         for axes, m in zip(grid.flat, methods, strict=False):
             for j, study in enumerate(studies):
-                rows = study.primary[study.primary["method"] == m.name].set_index("n_examples").reindex(counts)
-                mean, low, high = rows[["mean", "ci_low", "ci_high"]].to_numpy(dtype=np.float64).T
+                mean, low, high = _curves(study, m, counts)
                 color, at = method_color(j), np.arange(len(counts)) + spread[j]
                 if (mean <= ROUNDING).any():
                     axes.text(0.04, 0.05, "exact", transform=axes.transAxes, fontsize=5.5, color=color)
@@ -172,21 +140,57 @@ def condition_effect(studies: Sequence[StudyResults], names: Sequence[str], path
                 axes.plot(at, mean, "-", lw=1.0, color=color, marker=MARKERS[j % len(MARKERS)], ms=2.6, mew=0)
                 axes.vlines(at, np.where(low > ROUNDING, low, np.nan), high, color=color, lw=0.8)
                 if m.kind != "reference":
-                    shown += [v for v in (*mean, *np.maximum(low, mean / 2), *high) if v > ROUNDING]
-            axes.set_title(m.label, fontsize=7, loc="left", pad=2)
-            axes.grid(axis="y", color="#ececec", lw=0.4)
-            axes.set_axisbelow(True)
-        for axes in list(grid.flat)[len(methods) :]:
-            axes.set_visible(False)
-        if shown:
-            log_ticks(grid[0, 0], "y", min(shown), max(shown))
+                    shown += _positive(mean, low, high)
+        _finish_small(figure, grid, counts, shown, error_name(studies[0]), legend)
+        conditions_legend(figure, names)
+
+
+def _curves(study: StudyResults, method: MethodFacts, counts: Sequence[int]) -> FloatArray:
+    """(3, c) mean and its interval at each number of examples, NaN where there is none."""
+    rows = study.primary[study.primary["method"] == method.name].set_index("n_examples").reindex(list(counts))
+    return np.asarray(rows[["mean", "ci_low", "ci_high"]].to_numpy(dtype=np.float64).T)
+
+
+def _positive(mean: FloatArray, low: FloatArray, high: FloatArray) -> list[float]:
+    """What a logarithmic axis must hold of a curve: intervals that reach far down are cut."""
+    return [value for value in (*mean, *np.maximum(low, mean / 2), *high) if value > ROUNDING]
+
+
+@contextmanager
+def _small_plots(
+    path: Path, methods: Sequence[MethodFacts], counts: Sequence[int], line: float, margin: float, below: float,
+    hspace: float,
+) -> Iterator[tuple[Figure, Any]]:  # fmt: skip
+    """A small plot for each method, with common axes; line, margin and below in inches."""
+    columns = min(5, len(methods))
+    lines = -(-len(methods) // columns)
+    height = line * lines + margin + below
+    with canvas(path, WIDTH, height) as figure:
+        grid = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
+        figure.subplots_adjust(
+            left=0.07, right=0.995, bottom=below / height, top=1 - 0.16 / height, wspace=0.08, hspace=hspace
+        )
         for i, axes in enumerate(grid.flat):
-            axes.set_xlim(-0.3, len(counts) - 0.7)
+            axes.set_visible(i < len(methods))
             axes.set_xticks(range(len(counts)), [str(count) for count in counts])
             axes.tick_params(labelbottom=i < len(methods) <= i + columns, labelleft=i % columns == 0, length=2)
-        figure.text(0.53, (0.03 + legend) / height, "target examples", ha="center", va="bottom")
-        figure.text(0.004, 0.5, error_name(studies[0]), rotation=90, ha="left", va="center")
-        conditions_legend(figure, names)
+            axes.grid(axis="y", color="#ececec", lw=0.4)
+            axes.set_axisbelow(True)
+        for axes, m in zip(grid.flat, methods, strict=False):
+            axes.set_title(m.label, fontsize=7, loc="left", pad=2)
+        yield figure, grid
+
+
+def _finish_small(
+    figure: Figure, grid: Any, counts: Sequence[int], shown: list[float], name: str, above: float = 0.0
+) -> None:
+    """A logarithmic axis that holds what is shown, and the names of both axes, the lower one `above` so many inches."""
+    if shown:
+        log_ticks(grid[0, 0], "y", min(shown), max(shown))
+    for axes in grid.flat:
+        axes.set_xlim(-0.3, len(counts) - 0.7)
+    figure.text(0.53, (0.03 + above) / figure.get_figheight(), "target examples", ha="center", va="bottom")
+    figure.text(0.004, 0.5, name, rotation=90, ha="left", va="center")
 
 
 def conditions_legend(figure: Figure, names: Sequence[str], markers: bool = True) -> None:
@@ -211,7 +215,7 @@ def _legend_columns(names: Sequence[str]) -> int:
     return max(LEGEND_LETTERS // (max(map(len, names)) + 6), 1) if wide else len(names)
 
 
-def _panels(figure: Figure, count: int, bottom: float) -> list[Axes]:
+def panels_of(figure: Figure, count: int, bottom: float) -> list[Axes]:
     """Plots side by side that share the names of rows on the left; bottom in inches."""
     height = figure.get_figheight()
     panels = figure.subplots(1, count, sharey=True, squeeze=False)[0]
@@ -219,7 +223,7 @@ def _panels(figure: Figure, count: int, bottom: float) -> list[Axes]:
     return list(panels)
 
 
-def _finish(
+def finish_panels(
     figure: Figure, panels: Sequence[Axes], methods: Sequence[MethodFacts], shown: list[float], name: str, above: float
 ) -> None:
     """Common logarithmic axes, the names of the rows, and the name of the axis `above` so many inches."""
@@ -257,7 +261,7 @@ def ratio_plot(study: StudyResults, tests: pd.DataFrame, path: Path) -> None:
     names = [m for m in study.methods if m.name in set(tests["method"])]
     reference = study.facts["reference"]
     with canvas(path, WIDTH, 0.65 + 0.18 * max(len(names), 1)) as figure:
-        panels = _panels(figure, len(counts), bottom=0.45)
+        panels = panels_of(figure, len(counts), bottom=0.45)
         everything: list[float] = [0.9, 1.1]
         for axes, count in zip(panels, counts, strict=True):
             here = values[values["n_examples"] == count]
@@ -283,7 +287,7 @@ def ratio_plot(study: StudyResults, tests: pd.DataFrame, path: Path) -> None:
             axes.set_title(f"{count} examples", fontsize=7.5, pad=3)
         finite = [value for value in everything if np.isfinite(value) and value > 0]
         name = f"error / error of {study.label(reference)}   (left of 1: smaller error)"
-        _finish(figure, panels, names, finite, name, 0.0)
+        finish_panels(figure, panels, names, finite, name, 0.0)
 
 
 def _box(axes: Axes, at: float, width: float, values: FloatArray, color: str) -> None:

@@ -51,7 +51,7 @@ def gather(folders: Sequence[Path]) -> Gathered:
 
     Raises InvalidInput for a folder without any, and for results that are incomplete or of another schema.
     """
-    found = list(dict.fromkeys(path.resolve() for folder in folders for path in _expand(Path(folder))))
+    found = results_folders(folders)
     if not found:
         raise InvalidInput("report: expected at least one results folder, got none; run a study first.")
     by_name: dict[str, list[Path]] = {}
@@ -74,6 +74,11 @@ def gather(folders: Sequence[Path]) -> Gathered:
             left_out.append(f"{folder.name}: it keeps no pages of its own; run the study again to have them here.")
         sheets += shown
     return Gathered(tuple(found), tuple(load(by_name[name]) for name in names), tuple(sheets), tables, tuple(left_out))
+
+
+def results_folders(folders: Sequence[Path]) -> list[Path]:
+    """Each once; a folder that holds no results itself stands for those inside it. Raises InvalidInput without any."""
+    return list(dict.fromkeys(path.resolve() for folder in folders for path in _expand(Path(folder))))
 
 
 def _kind(folder: Path) -> str:

@@ -116,9 +116,8 @@ def render_heads(study: StudyResults, folder: Path, prefix: str, expressions: in
     counts = sorted({c.n_examples for c in cells})
     first = next((c for c in cells if c.method == study.facts["reference"]), cells[0])
     large = [float(np.nanquantile(_errors(c), 0.97)) for c in cells if c.method != "neutral"]
-    limit = (
-        nice(float(np.quantile(large, 0.8))) if large else 1.0
-    )  # the worst results may saturate, so that others show
+    # the worst results may saturate, so that others show
+    limit = nice(float(np.quantile(large, 0.8))) if large else 1.0
     darkroom = _Darkroom(folder, prefix, limit)
     shown = [m for m in study.methods if m.name != "neutral"]
     kept = tuple(dict.fromkeys((counts[0], counts[-1])))

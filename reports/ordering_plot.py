@@ -14,9 +14,10 @@ from reports.figures import (
     conditions_legend,
     error_name,
     exact,
+    finish_panels,
     legend_height,
-    log_ticks,
     no_result,
+    panels_of,
 )
 from reports.ordering import Ordering
 from reports.text import ROUNDING
@@ -33,8 +34,7 @@ def ordering_plot(ordering: Ordering, path: Path) -> None:
     row = ROW + 0.035 * max(len(names) - 3, 0)
     height = 0.2 + row * len(methods) + 0.4 + legend
     with canvas(path, WIDTH, height) as figure:
-        panels = figure.subplots(1, len(counts), sharey=True, squeeze=False)[0]
-        figure.subplots_adjust(left=0.2, right=0.99, bottom=(0.4 + legend) / height, top=1 - 0.2 / height, wspace=0.1)
+        panels = panels_of(figure, len(counts), bottom=0.4 + legend)
         spread = 0.62 * (np.arange(len(names)) - (len(names) - 1) / 2) / max(len(names), 2)
         shown: list[float] = []
         for axes, count in zip(panels, counts, strict=True):
@@ -57,12 +57,5 @@ def ordering_plot(ordering: Ordering, path: Path) -> None:
                     seen = mean > ROUNDING
                     shown += [*mean[seen].tolist(), *low[seen & (low > mean / 3)].tolist(), *high[seen].tolist()]
             axes.set_title(f"{count} examples", fontsize=7.5, pad=3)
-            axes.grid(axis="x", color="#e0e0e0", lw=0.5)
-            axes.set_axisbelow(True)
-            axes.tick_params(axis="y", length=0)
-        for axes in panels:
-            log_ticks(axes, "x", min(shown, default=0.1), max(shown, default=1.0))
-        panels[0].set_yticks(range(len(methods)), [method.label for method in methods])
-        panels[0].set_ylim(len(methods) - 0.5, -0.5)
-        figure.text(0.595, (legend + 0.03) / height, error_name(ordering.studies[0]), ha="center", va="bottom")
+        finish_panels(figure, panels, methods, shown, error_name(ordering.studies[0]), legend)
         conditions_legend(figure, names)

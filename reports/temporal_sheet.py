@@ -13,6 +13,7 @@ import pandas as pd
 
 from reports.colors import REFERENCE_ROW, method_color
 from reports.figures import canvas
+from reports.folders import results_folders
 from reports.sheet import Picture, PictureRow, Pictures, Table, write_sheet
 from reports.text import bounds, number
 from retarget.check import InvalidInput
@@ -27,9 +28,9 @@ MEASURES = (  # metric, head of the column, digits
 
 
 def temporal_folders(folders: Sequence[Path]) -> tuple[Path, ...]:
-    """Those with a finished study of this kind, among results folders and what lies up to two levels below."""
-    found = [path.parent for folder in folders for at in ("", "*/", "*/*/") for path in folder.glob(f"{at}times.csv")]
-    return tuple(sorted({path for path in found if (path / "study.json").exists()}))
+    """Those with a finished study of this kind, among `reports.folders.results_folders`."""
+    found = results_folders(folders)
+    return tuple(sorted(path for path in found if all((path / n).exists() for n in ("times.csv", "study.json"))))
 
 
 def build_temporal_sheet(folder: Path) -> Path:

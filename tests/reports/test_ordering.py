@@ -91,7 +91,7 @@ def test_what_is_exact_takes_no_part_in_the_axis(
     for one in studies:
         one.summary[["ci_low", "ci_high"]] = np.outer(one.summary["mean"], (0.9, 1.1))
     limits: list[tuple[float, float]] = []
-    monkeypatch.setattr("reports.ordering_plot.log_ticks", lambda axes, which, low, high: limits.append((low, high)))
+    monkeypatch.setattr("reports.figures.log_ticks", lambda axes, which, low, high: limits.append((low, high)))
     ordering_plot(Ordering(studies), tmp_path / "plot.svg")
     assert limits == [(pytest.approx(0.9), pytest.approx(5.5))]
 
