@@ -18,7 +18,7 @@ from synth_data.arkit import SKIN_NAMES
 from synth_data.cache import ArrayCache
 from synth_data.dataset import Progress
 from synth_data.personal.face import personal_face
-from synth_data.personal.scans import personal_scans, unit_weights
+from synth_data.personal.scans import personal_scans
 from synth_data.personal.traits import average_traits
 from synth_data.truth import Blendshapes, Casting, GenericRig, Person, Truth, person_key
 
@@ -90,11 +90,12 @@ def generic_units(generic: GenericRig, cache: ArrayCache) -> FloatArray:
 
     def units() -> FloatArray:
         face = personal_face(nobody.neutral, generic.faces, generic.regions, nobody.traits)
-        moved = face(np.eye(len(SKIN_NAMES))) - nobody.neutral
-        shut, opened = face(
-            np.stack([unit_weights({"jawOpen": 1.0, "mouthClose": 1.0}), unit_weights({"jawOpen": 1.0})])
-        )
-        moved[SKIN_NAMES.index("mouthClose")] = shut - opened
+        jaw, close = (SKIN_NAMES.index(name) for name in ("jawOpen", "mouthClose"))
+        weights = np.eye(len(SKIN_NAMES))
+        weights[close, jaw] = 1.0
+        frames = face(weights)
+        moved = frames - nobody.neutral
+        moved[close] = frames[close] - frames[jaw]
         return moved
 
     return cache(person_key("generic units", generic, nobody), units)
