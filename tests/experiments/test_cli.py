@@ -78,11 +78,12 @@ def test_report_and_gate_find_the_finished_study(finished: Path) -> None:
 
 
 def test_report_takes_folders_by_their_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without a results folder to read: what the report is asked for."""
+    """Without results to read: what the report is asked for."""
     asked: list[Any] = []
     names = ["results/quantitative", "results/a b, c", "it's"]
     for name in names:
         (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "study.json").touch()
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(report, "build_report", lambda *given: asked.append(given) or tmp_path / "all.pdf")
     monkeypatch.setattr(sys, "argv", ["experiments", "report", *names, "output=all.pdf"])
