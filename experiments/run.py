@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, cast
@@ -29,6 +29,7 @@ from experiments.study import Study
 from experiments.tables import collect, write_tables
 from experiments.temporal import TemporalStudy, write_animation
 from experiments.tuning import Tuning, check_identities, chosen_yaml, trial_table
+from reports.cells import FINISHED
 from reports.report import build_report
 from reports.terminal import print_solves, print_summary, print_tuning
 from reports.tuning_sheet import build_tuning_sheet
@@ -145,7 +146,18 @@ def _finished(planned: Plan, config: DictConfig, console: Console, alike: Sequen
     started = datetime.now(UTC)
     compute(planned, instantiate(config.backend), console, alike)
     tables = collect(planned)
-    return Finished(planned.study, *tables, write_tables(planned, tables, _plain(config), started))
+    served = replace(planned, study=_with_a_reference(planned.study, config.study.reference, tables[1], console))
+    return Finished(served.study, *tables, write_tables(served, tables, _plain(config), started))
+
+
+def _with_a_reference(study: Study, wanted: str | Sequence[str], cells: pd.DataFrame, console: Console) -> Study:
+    """Where `wanted` leaves the choice, and the reference has no result on this dataset, the next that has one."""
+    served = [name for name in cells.loc[cells["status"].isin(FINISHED), "method"] if name not in study.references]
+    others = [name for name in [*wanted, *served] if name in served]
+    if isinstance(wanted, str) or study.reference in served or not others:
+        return study
+    console.print(f"{study.reference} has no result on this dataset: every row is compared with {others[0]}")
+    return replace(study, reference=others[0])
 
 
 def _measure(config: DictConfig, folder: Path, console: Console) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import tarfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -205,6 +206,21 @@ def test_without_regions_a_method_that_needs_them_is_unsupported_and_says_why(ba
         assert "docs/own_topology.md" in said
         assert len(said) < 160
     assert table.loc[["landmark_dt", "adt", "alm", "anacondar"], "mm"].isna().all()
+
+
+@pytest.mark.parametrize(
+    ("chosen", "reference"), [("delta,plbs,adt,anacondar", "plbs"), ("delta,lbs,anacondar", "delta")]
+)
+def test_every_row_is_compared_with_a_method_that_has_a_result(
+    bare: list[str], tmp_path: Path, chosen: str, reference: str
+) -> None:
+    """The default reference needs regions: a folder without them gets the next one, unless it was asked for."""
+    compared([*bare, f"method=[{chosen}]"], tmp_path)
+    assert json.loads((tmp_path / "study.json").read_text())["reference"] == reference
+    assert pd.read_csv(tmp_path / "summary.csv")["ratio"].notna().any()
+    compared([*bare, f"method=[{chosen}]", "study.reference=anacondar"], tmp_path)
+    assert json.loads((tmp_path / "study.json").read_text())["reference"] == "anacondar"
+    assert pd.read_csv(tmp_path / "summary.csv")["ratio"].isna().all()
 
 
 def test_settings_are_tuned_on_a_folder_of_meshes(scans: list[str], tmp_path: Path) -> None:
