@@ -12,6 +12,7 @@ import pandas as pd
 
 from reports.load import StudyResults, load
 from reports.runtime_sheet import runtime_blocks
+from reports.search import find_results
 from reports.sheet import Table, read_sheet
 from retarget.check import InvalidInput
 
@@ -21,7 +22,6 @@ KINDS = {  # of studies that are no comparison: files that tell them, and column
     "artistic": ((), ("edit", "contour_after_mm")),
 }
 _LATER = ("ablation", "embedding", "sensitivity", "temporal")  # in the order of the paper, after the comparisons
-_DEPTH = 2  # levels below a folder at which results are looked for: results/<study>/<condition>
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,6 @@ def gather(folders: Sequence[Path]) -> Gathered:
     Raises InvalidInput for a folder without any, and for results that are incomplete or of another schema.
     """
     found = results_folders(folders)
-    if not found:
-        raise InvalidInput("report: expected at least one results folder, got none; run a study first.")
     by_name: dict[str, list[Path]] = {}
     for folder in found:
         if (folder / "study.json").exists() and not (folder / "trials.csv").exists():
@@ -77,8 +75,12 @@ def gather(folders: Sequence[Path]) -> Gathered:
 
 
 def results_folders(folders: Sequence[Path]) -> list[Path]:
-    """Each once; a folder that holds no results itself stands for those inside it. Raises InvalidInput without any."""
-    return list(dict.fromkeys(path.resolve() for folder in folders for path in _expand(Path(folder))))
+    """Results of all kinds in these folders or below them, as `reports.search.find_results` finds them."""
+    return find_results(folders, _holds_results)
+
+
+def _holds_results(folder: Path) -> bool:
+    return (folder / "study.json").exists() or bool(_kind(folder)) or any(folder.glob("*.sheet"))
 
 
 def _kind(folder: Path) -> str:
@@ -116,25 +118,6 @@ def _summary(folder: Path, kind: str) -> pd.DataFrame:
 def _read(folder: Path) -> Sheet:
     content = read_sheet(folder)
     return Sheet(folder.parent.name, content["title"], content["description"], content["blocks"], folder)
-
-
-def _expand(folder: Path, depth: int = _DEPTH) -> list[Path]:
-    found = _inside(folder, depth)
-    if not found:
-        raise InvalidInput(
-            f"{folder}: expected a results folder with a study.json, found none there or {_DEPTH} levels below. "
-            "Name the folder that a finished run printed, for example results/quantitative."
-        )
-    return found
-
-
-def _inside(folder: Path, depth: int) -> list[Path]:
-    if (folder / "study.json").exists() or _kind(folder) or any(folder.glob("*.sheet")):
-        return [folder]
-    if not depth or not folder.is_dir():
-        return []
-    below = sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
-    return [path for inner in below for path in _inside(inner, depth - 1)]
 
 
 def _study_name(folder: Path) -> str:

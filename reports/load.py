@@ -15,6 +15,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from reports.cells import CONDITIONS, FINISHED, check_metrics
+from reports.search import find_results
 from retarget.check import InvalidInput
 from retarget.types import FloatArray, IntArray
 
@@ -165,11 +166,8 @@ def load(folders: Sequence[Path]) -> tuple[StudyResults, ...]:
     configurations set differently. Raises InvalidInput for a folder that holds no finished study, or one of another
     schema.
     """
-    found = [found for folder in folders for found in _expand(Path(folder))]
-    if not found:
-        raise InvalidInput("report: expected at least one results folder, got none; run a study first.")
-    unique = list({path.resolve(): path for path in found}.values())
-    studies = [part for path in unique for part in _by_correspondence(_load(path))]
+    found = find_results(folders, lambda folder: (folder / "study.json").exists())
+    studies = [part for path in found for part in _by_correspondence(_load(path))]
     return tuple(replace(s, differs=differs) for s, differs in zip(studies, _differences(studies), strict=True))
 
 
@@ -180,18 +178,6 @@ def _by_correspondence(study: StudyResults) -> Iterator[StudyResults]:
             for table in (study.metrics, study.summary, study.cells)
         )
         yield replace(study, metrics=metrics, summary=summary, cells=cells)
-
-
-def _expand(folder: Path) -> list[Path]:
-    if (folder / "study.json").exists():
-        return [folder]
-    inside = sorted(path.parent for path in folder.glob("*/study.json"))
-    if not inside:
-        raise InvalidInput(
-            f"{folder}: expected a results folder with a study.json, found none there or one level below. "
-            "Name the folder that a finished run printed, for example results/quantitative."
-        )
-    return inside
 
 
 def _load(folder: Path) -> StudyResults:
