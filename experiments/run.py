@@ -150,11 +150,13 @@ def _finished(planned: Plan, config: DictConfig, console: Console, alike: Sequen
     return Finished(served.study, *tables, write_tables(served, tables, _plain(config), started))
 
 
-def _with_a_reference(study: Study, wanted: str | Sequence[str], cells: pd.DataFrame, console: Console) -> Study:
-    """Where `wanted` leaves the choice, and the reference has no result on this dataset, the next that has one."""
+def _with_a_reference(study: Study, wanted: str | Sequence[str] | None, cells: pd.DataFrame, console: Console) -> Study:
+    """Where `wanted` lists several, and the reference has no result on this dataset, the next that has one."""
+    if wanted is None or isinstance(wanted, str):
+        return study
     served = [name for name in cells.loc[cells["status"].isin(FINISHED), "method"] if name not in study.references]
     others = [name for name in [*wanted, *served] if name in served]
-    if isinstance(wanted, str) or study.reference in served or not others:
+    if study.reference in served or not others:
         return study
     console.print(f"{study.reference} has no result on this dataset: every row is compared with {others[0]}")
     return replace(study, reference=others[0])
