@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,11 +27,15 @@ RELATIVE_TOLERANCE = 0.02  # of the value, for distances: room for other CPUs an
 
 COLUMNS = ("method", "n_examples", "metric", "region", "value", "tolerance")
 SHARED = ("unit", "direction", "reason", "origin")
+DIRECTIONS = ("lower", "higher", "zero")
 
 
 @dataclass(frozen=True)
 class Gate:
-    """mean over a study's cells of one metric, with its two-sided tolerance."""
+    """Mean over a study's cells of one metric, with its two-sided tolerance.
+
+    Raises ValueError for entries that hold nothing.
+    """
 
     method: str
     n_examples: int
@@ -42,6 +47,16 @@ class Gate:
     direction: str  # what is better; the gate fails on either side
     reason: str
     origin: str
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.value, int | float) or not math.isfinite(self.value):
+            raise ValueError(f"value: expected a number, got {self.value!r} of {self.method}")
+        if not isinstance(self.tolerance, int | float) or not 0 < self.tolerance < math.inf:
+            raise ValueError(f"tolerance: expected a number above 0, got {self.tolerance!r} of {self.method}")
+        if self.direction not in DIRECTIONS:
+            raise ValueError(f"direction: expected one of {', '.join(DIRECTIONS)}, got {self.direction!r}")
+        if not self.reason:
+            raise ValueError("reason: expected why these values were set, got none")
 
 
 @dataclass(frozen=True)
@@ -72,20 +87,23 @@ def gate(folder: Path, config: DictConfig, console: Console) -> bool:
 def read_gates(path: Path) -> list[Gate]:
     """The gates of a file: groups that share SHARED, each with rows of COLUMNS.
 
-    Raises InvalidInput for a missing file or one of another form.
+    Raises InvalidInput for a missing file, one of another form, one without gates, and values that hold nothing.
     """
     if not path.exists():
         raise InvalidInput(f"{path}: no gates file. Choose one with gates=FILE, or write one with propose=FILE.")
     try:
-        return [
+        gates = [
             Gate(**dict(zip(COLUMNS, row, strict=True)), **{name: group[name] for name in SHARED})
             for group in yaml.safe_load(path.read_text(encoding="utf-8"))
             for row in group["gates"]
         ]
-    except (TypeError, KeyError, ValueError) as error:
+    except (TypeError, KeyError, ValueError, yaml.YAMLError) as error:
         raise InvalidInput(
             f"{path}: expected groups with {', '.join(SHARED)} and gates, each a row of {', '.join(COLUMNS)}; {error}."
         ) from None
+    if not gates:
+        raise InvalidInput(f"{path}: expected at least one gate, got none; nothing would be held.")
+    return gates
 
 
 def write_gates(path: Path, gates: Iterable[Gate]) -> None:
@@ -142,7 +160,13 @@ def _metrics(folder: Path) -> pd.DataFrame:
         raise InvalidInput(
             f"{path}: no finished study there. Run `python -m experiments run study={folder.name}` first."
         )
-    return pd.read_parquet(path)
+    try:
+        metrics = pd.read_parquet(path)
+    except (OSError, ValueError) as error:
+        raise InvalidInput(f"{path}: cannot be read as a table ({error}); run the study again.") from error
+    if missing := [name for name in (*COLUMNS[:-1], "unit") if name not in metrics.columns]:
+        raise InvalidInput(f"{path}: expected the column {missing[0]} among others; run the study again.")
+    return metrics
 
 
 def _means(metrics: pd.DataFrame) -> dict[tuple[Any, ...], float | None]:

@@ -43,7 +43,7 @@ class SeamJump(Metric):
         across, along = _mean_jump(error, borders), _mean_jump(error, beside)
         yield Measurement("seam_jump", "borders", "mm", "lower", across)
         yield Measurement("seam_jump", "beside", "mm", "lower", along)
-        yield Measurement("seam_excess", "borders", "mm", "lower", across - along)
+        yield Measurement("seam_excess", "borders", "mm", "zero", across - along)
 
 
 def _mean_jump(error: FloatArray, edges: IntArray) -> FloatArray:

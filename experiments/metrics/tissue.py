@@ -41,14 +41,18 @@ class Tissue(Metric):
         settings = AnatomySettings(template=self.template)
         simulation = character.inverse(settings.inverse_settings, settings.tets)
         volumes = signed_volumes(character.head.vertices, character.head.template.tets)
-        share = volumes / volumes.sum()
         change, inverted = np.full((2, len(comparison.retargeted)), NOT_FORMED)
         for i, frame in enumerate(comparison.retargeted):
             state = simulation(frame)
             if state.info.status is Status.FAILED:
                 continue
-            determinants: FloatArray = np.linalg.det(state.gradients)
-            change[i] = 100 * share @ np.abs(determinants - 1)
-            inverted[i] = 100 * (determinants <= 0).mean()
+            change[i], inverted[i] = strain(state.gradients, volumes)
         yield Measurement("tissue_volume_change", "tissue", "%", "lower", change)
         yield Measurement("inverted_tets", "tissue", "%", "lower", inverted)
+
+
+def strain(gradients: FloatArray, volumes: FloatArray) -> tuple[float, float]:
+    """(mean of |det F - 1| over the volume, share of inverted tets), both in %, of F (m, 3, 3) and volumes (m,)."""
+    determinants = np.linalg.det(gradients)
+    change = np.abs(determinants - 1) @ volumes / volumes.sum()
+    return 100 * float(change), 100 * float((determinants <= 0).mean())

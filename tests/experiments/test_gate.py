@@ -140,6 +140,39 @@ def test_missing_studies_and_odd_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "gates.yaml").write_text("- {unit: mm, gates: [[plbs, 5]]}")
     with pytest.raises(InvalidInput, match="expected groups with unit, direction"):
         read_gates(tmp_path / "gates.yaml")
+    (tmp_path / "metrics.parquet").write_bytes(b"PAR1")
+    with pytest.raises(InvalidInput, match=r"metrics.parquet: cannot be read as a table"):
+        gate(tmp_path, config, Console())
+    pd.DataFrame({"value": [1.0]}).to_parquet(tmp_path / "metrics.parquet")
+    with pytest.raises(InvalidInput, match=r"metrics.parquet: expected the column method"):
+        gate(tmp_path, config, Console())
+
+
+def _gates(direction: str = "lower", reason: str = "measured", row: str = "1.0, 0.1") -> str:
+    shared = f"unit: mm, direction: {direction}, reason: {reason}, origin: here"
+    return f"- {{{shared}, gates: [[plbs, 5, vertex_l2_mean, head, {row}]]}}"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[]", "at least one gate"),
+        ("- {unit: mm, direction: lower, reason: r, origin: o, gates: []}", "at least one gate"),
+        ("{unit: [", "expected groups with unit, direction"),
+        ("5", "expected groups with unit, direction"),
+        ("", "expected groups with unit, direction"),
+        (_gates(row="x, 0.1"), "value: expected a number, got 'x' of plbs"),
+        (_gates(row=".nan, 0.1"), "value: expected a number, got nan"),
+        (_gates(row="1.0, .inf"), "tolerance: expected a number above 0, got inf"),
+        (_gates(row="1.0, -1"), "tolerance: expected a number above 0, got -1"),
+        (_gates(direction="sideways"), "direction: expected one of lower, higher, zero, got 'sideways'"),
+        (_gates(reason=""), "reason: expected why"),
+    ],
+)
+def test_a_file_of_gates_that_hold_nothing_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "gates.yaml").write_text(text)
+    with pytest.raises(InvalidInput, match=message):
+        read_gates(tmp_path / "gates.yaml")
 
 
 def test_the_gates_under_version_control_cover_every_method_of_the_study() -> None:

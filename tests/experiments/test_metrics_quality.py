@@ -20,7 +20,7 @@ from experiments.metrics.normal_deviation import NormalDeviation
 from experiments.metrics.relative_error import RelativeError
 from experiments.metrics.self_intersections import SelfIntersections
 from experiments.metrics.sized_error import SizedError
-from experiments.metrics.tissue import Tissue
+from experiments.metrics.tissue import Tissue, strain
 from experiments.metrics.volume import Volume
 from retarget.types import FloatArray, IntArray, Regions
 from tests.conformance.box import heads_are_boxes
@@ -179,6 +179,13 @@ def test_tissue_is_whole_at_rest_and_suffers_from_what_no_head_can_do() -> None:
     assert 0 < little < much
     assert values["inverted_tets", "tissue"][0] == 0
     assert values["inverted_tets", "tissue"][2] > 0
+
+
+def test_tissue_weighs_changes_by_volume_and_counts_inverted_tets() -> None:
+    gradients = np.stack([np.eye(3), np.diag([2.0, 1, 1]), np.diag([0.5, 1, 1]), np.diag([-1.0, 1, 1])])
+    change, inverted = strain(gradients, np.array([5.0, 1.0, 3.0, 1.0]))
+    assert change == pytest.approx(100 * (0 * 5 + 1 * 1 + 0.5 * 3 + 2 * 1) / 10)
+    assert inverted == pytest.approx(25)
 
 
 # A real head: every metric must see an error that grows.
