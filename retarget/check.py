@@ -23,9 +23,20 @@ class UnsupportedProblem(InvalidInput):
     """A well-formed problem that this method does not serve."""
 
 
+def check_real(name: str, values: ArrayLike) -> FloatArray:
+    """float64; raises InvalidInput for all but real floats and integers, such as complex numbers, text or objects."""
+    found = np.asarray(values)
+    if found.dtype.kind not in "fiu":
+        raise InvalidInput(
+            f"{name}: expected real numbers (floats or integers), got an array of dtype {found.dtype}; save it again "
+            "as float32 or float64."
+        )
+    return found.astype(np.float64, copy=False)
+
+
 def check_vertices(name: str, vertices: ArrayLike, count: int | None = None) -> FloatArray:
     """(n, 3) float64 mm, finite, with n == count where given; raises InvalidInput."""
-    v = np.asarray(vertices, dtype=np.float64)
+    v = check_real(name, vertices)
     if v.ndim != 2 or v.shape[1] != 3:
         raise InvalidInput(f"{name}: expected vertices of shape (n, 3) in mm, got {v.shape}.")
     return _finite_and_counted(name, v, count)
@@ -33,7 +44,7 @@ def check_vertices(name: str, vertices: ArrayLike, count: int | None = None) -> 
 
 def check_points(name: str, points: ArrayLike, count: int, each: str) -> FloatArray:
     """(count, 3) float64, finite: a point or a vector for each `each`; raises InvalidInput."""
-    v = np.asarray(points, dtype=np.float64)
+    v = check_real(name, points)
     if v.shape != (count, 3):
         raise InvalidInput(f"{name}: expected ({count}, 3), one for each {each}, got {v.shape}.")
     bad = np.flatnonzero(~np.isfinite(v).all(axis=1))
@@ -47,7 +58,7 @@ def check_points(name: str, points: ArrayLike, count: int, each: str) -> FloatAr
 
 def check_frames(name: str, frames: ArrayLike, count: int | None = None) -> FloatArray:
     """(t, n, 3) float64 mm, finite, with n == count where given; t may be 0; raises InvalidInput."""
-    v = np.asarray(frames, dtype=np.float64)
+    v = check_real(name, frames)
     if v.ndim != 3 or v.shape[2] != 3:
         raise InvalidInput(f"{name}: expected frames of shape (t, n, 3) in mm, got {v.shape}.")
     return _finite_and_counted(name, v, count)

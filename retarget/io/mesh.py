@@ -67,7 +67,7 @@ def _read_npz(path: Path) -> tuple[FloatArray, IntArray | None]:
         with np.load(path, allow_pickle=False) as stored:
             names += stored
             arrays = {name: stored[name] for name in ("vertices", "faces") if name in stored}
-        vertices = np.asarray(arrays["vertices"], dtype=np.float64)
+        return arrays["vertices"], arrays.get("faces")
     except KeyError as error:
         raise InvalidInput(
             f"{path}: expected the array 'vertices' (n, 3), and 'faces' (f, 3), got {', '.join(names) or 'nothing'}."
@@ -77,4 +77,3 @@ def _read_npz(path: Path) -> tuple[FloatArray, IntArray | None]:
             f"{path}: expected an NPZ file with plain arrays of numbers, but it cannot be read ({error}). Save it "
             "again with numpy.savez(path, vertices=..., faces=...); pickled objects are never opened."
         ) from error
-    return vertices, arrays.get("faces")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from retarget.check import InvalidInput, check_faces, check_frames, check_vertices
+from retarget.check import InvalidInput, check_faces, check_frames, check_real, check_vertices
 from retarget.io.files import write_whole
 from retarget.io.morph_mesh import MorphMesh
 from retarget.types import IntArray
@@ -57,8 +57,8 @@ def read_npz(path: Path | str) -> tuple[IntArray, MorphMesh]:
         neutral=neutral,
         shapes=check_frames(f"{path}, shapes", stored["shapes"], len(neutral)),
         shape_names=tuple(map(str, stored["shape_names"])),
-        times=stored["times"],
-        weights=stored["weights"].astype(np.float64),
+        times=check_real(f"{path}, times", stored["times"]),
+        weights=check_real(f"{path}, weights", stored["weights"]),
         about=about,
     )
     return check_faces(f"{path}, faces", stored["faces"], len(neutral)), mesh

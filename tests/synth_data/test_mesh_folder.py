@@ -376,7 +376,9 @@ MISTAKES: dict[str, tuple[Spoil, dict[str, Any], str]] = {
     "nan": (replace("bob/smile.obj", nan), {}, r"bob.smile\.obj: 1 vertices are NaN or infinite, the first at .*7"),
     "pickled": (as_npz(vertices=np.array([{}], dtype=object)), {}, r"bob.smile\.npz: .* never opened"),
     "npz without vertices": (as_npz(points=np.zeros((3, 3))), {}, r"array 'vertices' .* got points"),
-    "npz of words": (as_npz(vertices=np.array(["a"])), {}, r"bob.smile\.npz: .*plain arrays of numbers"),
+    **{f"npz of {dtype}": (lambda root, dtype=dtype: as_npz(vertices=head("bob").astype(dtype))(root), {},
+                           rf"bob.smile\.npz: expected real numbers .* got an array of dtype {found}")
+       for dtype, found in (("complex128", "complex128"), ("U", "<U32"), ("bool", "bool"))},
     "npz that is none": (lambda root: [as_npz(vertices=head("bob"))(root), shorten("bob/smile.npz", 0.5)(root)],
                          {}, r"bob.smile\.npz: .* cannot be read"),
     "first mesh without faces": (lambda root: [
