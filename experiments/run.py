@@ -21,6 +21,7 @@ from experiments.catalogue import MethodMaker
 from experiments.collision import CollisionStudy, collide
 from experiments.compute import compute, estimate
 from experiments.conditions import by_condition, said
+from experiments.identities import check_identities
 from experiments.metrics.metric import Metric
 from experiments.plan import Plan, plan
 from experiments.progress import print_path
@@ -28,7 +29,7 @@ from experiments.runtime import RuntimeStudy, measure
 from experiments.study import Study
 from experiments.tables import collect, write_tables
 from experiments.temporal import TemporalStudy, write_animation
-from experiments.tuning import Tuning, check_identities, chosen_yaml, trial_table
+from experiments.tuning import Tuning, chosen_yaml, trial_table
 from reports.cells import FINISHED
 from reports.report import build_report
 from reports.terminal import print_solves, print_summary, print_tuning
@@ -42,7 +43,9 @@ from synth_data.dataset import Dataset
 def run(config: DictConfig, folder: Path, console: Console) -> None:
     """The main job. Raises InvalidInput with what to do if the configuration or the data cannot be used."""
     check_folder(folder)
-    KINDS[choose("study.kind", config.study.kind, KINDS)](config, folder, console)
+    kind = choose("study.kind", config.study.kind, KINDS)
+    check_identities(_plain(config.dataset), tuning=kind == "tuning")
+    KINDS[kind](config, folder, console)
 
 
 def _compare(config: DictConfig, folder: Path, console: Console) -> None:
@@ -105,7 +108,6 @@ def _reference(wanted: str | list[str], config: DictConfig) -> str:
 
 
 def _tune(config: DictConfig, folder: Path, console: Console) -> None:
-    check_identities(_plain(config.dataset))
     tuning = Tuning.from_config(_study(config), dict(_chosen(config, "method")))
     finished = _finished(_planned(tuning.study, config, folder, console), config, console)
     trials = trial_table(tuning, finished.metrics, finished.cells)

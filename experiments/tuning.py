@@ -17,8 +17,6 @@ from reports.cells import FINISHED
 from retarget.check import InvalidInput
 from retarget.suggest import choose
 
-FIRST_TUNING_SEED = 1000  # of identities; all other studies stay below
-
 
 @dataclass(frozen=True)
 class Tuning:
@@ -54,16 +52,6 @@ class Tuning:
 
 def row_name(method: str, trial: int) -> str:
     return f"{method}_{trial:02d}"
-
-
-def check_identities(dataset: Mapping[str, Any]) -> None:
-    """Raises InvalidInput for settings of a dataset whose identities another study may use."""
-    first = dataset.get("first_seed", FIRST_TUNING_SEED)
-    if first < FIRST_TUNING_SEED:
-        raise InvalidInput(
-            f"dataset.first_seed: expected at least {FIRST_TUNING_SEED} for tuning, got {first}. Smaller seeds are the "
-            "identities that settings are tested on."
-        )
 
 
 def trial_table(tuning: Tuning, metrics: pd.DataFrame, cells: pd.DataFrame) -> pd.DataFrame:

@@ -15,9 +15,10 @@ from rich.console import Console
 
 from experiments import run as run_module
 from experiments.catalogue import CONF, composed, make_method, method_settings, options
+from experiments.identities import FIRST_TUNING_SEED, check_identities
 from experiments.protocol import draw
-from experiments.run import _plain
-from experiments.tuning import FIRST_TUNING_SEED, Tuning, check_identities, choice, row_name, trial_table
+from experiments.run import _plain, run
+from experiments.tuning import Tuning, choice, row_name, trial_table
 from retarget.check import InvalidInput
 from retarget.types import Examples, Pair
 from tests.experiments.toy import toy
@@ -62,11 +63,16 @@ def test_identities_are_used_by_no_other_study(scale: str) -> None:
         assert max(others) < FIRST_TUNING_SEED, name
 
 
-def test_identities_of_other_studies_are_refused() -> None:
-    with pytest.raises(InvalidInput, match=r"dataset\.first_seed: expected at least 1000"):
-        check_identities({"first_seed": 998})
-    check_identities({"first_seed": 1004})
-    check_identities({"folder": "somebody's scans"})
+def test_tuning_and_studies_refuse_the_identities_of_one_another(tmp_path: Path) -> None:
+    for study, seed in (("tuning", 998), ("ci", 998), ("noise", 1000), ("collision", 1004)):
+        config = composed("run", [f"study={study}", f"dataset.first_seed={seed}", "scale.identities=4"])
+        expected = "at least 1000 for tuning" if study == "tuning" else "identities below 1000"
+        with pytest.raises(InvalidInput, match=rf"dataset\.first_seed: expected {expected}"):
+            run(config, tmp_path, Console(file=io.StringIO()))
+    assert not any(tmp_path.iterdir())
+    check_identities({"first_seed": 1004, "identities": 4}, tuning=True)
+    check_identities({"first_seed": 996, "identities": 4}, tuning=False)
+    check_identities({"folder": "somebody's scans"}, tuning=True)
 
 
 def test_every_method_gets_the_same_number_of_trials_and_its_present_configuration_first() -> None:
