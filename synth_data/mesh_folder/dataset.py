@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +44,7 @@ class MeshFolder(DatasetConfig):
 
     root: str | None = None  # the folder: identity/expression.obj
     identities: int | Sequence[str] | None = None  # the first so many, or which; None: all
-    neutral: str | None = None  # name of the meshes at rest; None: found by its name
+    neutral: str | int | None = None  # name of the meshes at rest, 5 for 5.obj; None: found by its name
     units: str = "mm"  # mm | cm | dm | m | inch
     up: str = "+y"  # axis of the files along which the top of the head lies
     front: str = "+z"  # axis of the files along which the face looks
@@ -59,12 +59,13 @@ class MeshFolder(DatasetConfig):
         """List, check and store the meshes. Raises InvalidInput that names the file and the mend."""
         if not self.root:
             raise InvalidInput(f"dataset.root: expected a folder of meshes, set dataset.root=/path/to/it. {LAYOUT}")
+        self._check_texts()
         root = Path(self.root).expanduser()
         frame, noise = Frame.of(self.units, self.up, self.front), check_noise("dataset.noise_mm", self.noise_mm)
         align = Align(choose("dataset.align", self.align, list(Align)))
         if not isinstance(self.jobs, int) or self.jobs == 0:
             raise InvalidInput(f"dataset.jobs: expected a number of processes or -1 for all cores, got {self.jobs!r}.")
-        listing = list_folder(root, self.neutral, self.identities)
+        listing = list_folder(root, None if self.neutral is None else str(self.neutral), self.identities)
         first = listing.identities[0]
         topology = Topology.of(listing.files[first][listing.neutral])
         kept, faces, regions = self._skin(topology)
@@ -97,6 +98,15 @@ class MeshFolder(DatasetConfig):
             meshes=raw,
             placed=placed,
         )
+
+    def _check_texts(self) -> None:
+        """Raises InvalidInput for a number, a list or null where a setting is text: YAML reads 5 as a number."""
+        for setting in fields(self):
+            value, needed = getattr(self, setting.name), setting.type == "str"
+            if (needed or (setting.type == "str | None" and value is not None)) and not isinstance(value, str):
+                expected = f"text such as {setting.default!r}" if needed else "a path (./5 for one that is named 5)"
+                got = "null" if value is None else repr(value)
+                raise InvalidInput(f"dataset.{setting.name}: expected {expected}, got {got}.")
 
     def _skin(self, topology: Topology) -> tuple[IntArray | None, IntArray, Regions | None]:
         """The vertices to keep (None: all), the triangles (f, 3) in their numbers, and the regions where there are."""

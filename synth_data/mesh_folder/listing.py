@@ -27,7 +27,7 @@ class Listing:
     neutral: str
     expressions: tuple[str, ...]  # of every identity, sorted, without the neutral
     lacking: Mapping[str, tuple[str, ...]]  # identity -> expressions of others that it has no file for
-    passed_over: tuple[str, ...]  # folders without a mesh
+    passed_over: Mapping[str, str]  # folder -> why it is no person
 
     @property
     def identities(self) -> tuple[str, ...]:
@@ -42,13 +42,19 @@ def list_folder(root: Path, neutral: str | None, identities: int | Sequence[str]
     if not root.is_dir():
         raise InvalidInput(f"dataset.root: expected a folder of meshes, found none at {root}; check the path. {LAYOUT}")
     found = {folder.name: _meshes(folder) for folder in _visible(root) if folder.is_dir()}
-    passed_over = tuple(name for name, files in found.items() if not files)
-    found = _chosen({name: files for name, files in found.items() if files}, identities)
+    passed_over = {name: "holds no mesh" for name, files in found.items() if not files}
+    found = {name: files for name, files in found.items() if files}
+    if identities is None or isinstance(identities, int):
+        linked = _linked(found)
+        passed_over |= {name: f"is the same folder as {other}" for name, other in linked.items()}
+        found = {name: files for name, files in found.items() if name not in linked}
+    found = _chosen(found, identities)
     if len(found) < 2:
         loose = sum(path.suffix.lower() in SUFFIXES for path in _visible(root))
         raise InvalidInput(
             f"dataset.root: expected meshes ({', '.join(SUFFIXES)}) of at least two people in {root}, because one "
             f"performs and the other retargets; got {', '.join(found) or 'none'}"
+            + "".join(f", and {name} {why}" for name, why in passed_over.items())
             + (f", and {loose} meshes that lie in no person's folder" if loose else "")
             + f". {LAYOUT}"
         )
@@ -78,10 +84,12 @@ def _visible(folder: Path) -> Iterator[Path]:
 
 
 def _meshes(folder: Path) -> dict[str, Path]:
-    """The mesh of each expression. Raises InvalidInput where one has two."""
+    """The mesh of each expression. Raises InvalidInput where one has two, or for a pipe, which never ends."""
     meshes: dict[str, Path] = {}
     for path in _visible(folder):
         if path.suffix.lower() in SUFFIXES and not path.is_dir():
+            if path.exists() and not path.is_file():
+                raise InvalidInput(f"{path}: expected a mesh file, found a pipe, socket or device; remove it.")
             if path.stem in meshes:
                 raise InvalidInput(
                     f"{folder}: {meshes[path.stem].name} and {path.name} are the same expression twice, expected one "
@@ -89,6 +97,20 @@ def _meshes(folder: Path) -> dict[str, Path]:
                 )
             meshes[path.stem] = path
     return meshes
+
+
+def _folder(files: Files) -> Path:
+    """Of one person."""
+    return next(iter(files.values())).parent
+
+
+def _linked(found: Mapping[str, Files]) -> dict[str, str]:
+    """Each link to another's folder -> the name of that folder; of links alone the first counts as the folder."""
+    names: dict[Path, str] = {}
+    for name in sorted(found, key=lambda name: (_folder(found[name]).is_symlink(), name)):
+        names.setdefault(_folder(found[name]).resolve(), name)
+    named = {name: names[_folder(files).resolve()] for name, files in found.items()}
+    return {name: other for name, other in named.items() if other != name}
 
 
 def _chosen(found: dict[str, dict[str, Path]], wanted: int | Sequence[str] | None) -> dict[str, dict[str, Path]]:
@@ -99,7 +121,12 @@ def _chosen(found: dict[str, dict[str, Path]], wanted: int | Sequence[str] | Non
             raise InvalidInput(f"dataset.identities: {wanted} asked for, but the folder holds {len(found)}.")
         return dict(list(found.items())[:wanted])
     if isinstance(wanted, Iterable) and not isinstance(wanted, str):
-        return {name: found[choose("dataset.identities", str(name), found)] for name in wanted}
+        names = [choose("dataset.identities", str(name), found) for name in wanted]
+        chosen = {name: found[name] for name in names}
+        if len(names) > len(chosen) or _linked(chosen):
+            twice = [f"{name} is {other}" for name, other in _linked(chosen).items()] or names
+            raise InvalidInput(f"dataset.identities: expected each person once, got {', '.join(twice)}; remove one.")
+        return chosen
     raise InvalidInput(f"dataset.identities: expected null, a number from 2 on or a list of folders, got {wanted!r}.")
 
 
@@ -125,7 +152,7 @@ def _resting(found: Mapping[str, Files], neutral: str | None) -> str:
         return _guessed(found)
     everyone = sorted(set.union(*(set(files) for files in found.values())))
     choose("dataset.neutral", neutral, everyone)
-    if lacking := [name for name, files in found.items() if neutral not in files]:
+    if lacking := [str(_folder(files)) for files in found.values() if neutral not in files]:
         raise InvalidInput(
             f"dataset.root: no neutral '{neutral}' in {', '.join(lacking)}, expected one in every folder. Add the mesh "
             "of the face at rest, leave these people out with dataset.identities, or name another mesh with "

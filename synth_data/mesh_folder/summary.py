@@ -39,12 +39,12 @@ def _aligned(column: int, cell: str, width: int) -> str:
 
 
 def left_out(listing: Listing) -> Iterator[str]:
-    """A line for each person who lacks expressions that others have, and for folders without a mesh."""
+    """A line for each person who lacks expressions that others have, and for folders that are no person."""
     for identity, names in listing.lacking.items():
         if names:
             yield f"left out, because {identity} has no mesh of it: {', '.join(names)}"
-    for name in listing.passed_over:
-        yield f"passed over: the folder {name} holds no mesh"
+    for name, why in listing.passed_over.items():
+        yield f"passed over: the folder {name} {why}"
 
 
 def favours(listing: Listing, removed: Mapping[str, Poses], align: Align) -> str:

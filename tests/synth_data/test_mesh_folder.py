@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -240,6 +241,25 @@ def test_the_neutral_is_found_by_its_name(folder: Path, name: str) -> None:
     np.testing.assert_allclose(settings(folder, align="refuse").load().neutral("bob"), head("bob"), atol=ROUNDING)
 
 
+def test_the_neutral_may_be_named_by_a_number(folder: Path) -> None:
+    for person in PEOPLE:
+        (folder / person / "neutral.obj").rename(folder / person / "5.obj")
+    data = settings(folder, neutral=5, align="refuse").load()
+    np.testing.assert_allclose(data.neutral("bob"), head("bob"), atol=ROUNDING)
+
+
+@pytest.mark.parametrize("link", ["bob2", "aaa"])
+def test_a_link_to_a_person_is_no_other_person(folder: Path, link: str) -> None:
+    (folder / link).symlink_to("bob")
+    lines: list[str] = []
+    assert settings(folder).load(lines.append).identities == ("anna", "bob")
+    assert f"passed over: the folder {link} is the same folder as bob" in lines
+    assert settings(folder, identities=2).load().identities == ("anna", "bob")
+    assert settings(folder, identities=["anna", link]).load().identities == ("anna", link)
+    with pytest.raises(InvalidInput, match=rf"expected each person once, got {link} is bob; remove one"):
+        settings(folder, identities=["bob", link]).load()
+
+
 def test_people_can_be_chosen(folder: Path) -> None:
     shutil.copytree(folder / "anna", folder / "zoe")
     assert settings(folder).load().identities == ("anna", "bob", "zoe")
@@ -338,11 +358,16 @@ MISTAKES: dict[str, tuple[Spoil, dict[str, Any], str]] = {
     "loose": (lambda root: [shutil.rmtree(root / "bob"), shutil.move(root / "anna" / "smile.obj", root)],
               {}, "got anna, and 1 meshes that lie in no person's folder"),
     "one person": (lambda root: shutil.rmtree(root / "bob"), {}, "at least two people .* got anna"),
+    "one person and a link": (lambda root: [shutil.rmtree(root / "bob"), (root / "bob").symlink_to("anna")],
+                              {}, "got anna, and bob is the same folder as anna"),
     "nothing shared": (lambda root: [rename(f"bob/{name}.obj", f"bob/x{name}.obj")(root) for name in EXPRESSIONS],
                        {}, "no expression has a mesh for each of anna, bob"),
     "twice": (lambda root: as_twice(root), {}, "smile.obj and smile.ply are the same expression twice"),
     "capitals": (rename("bob/smile.obj", "bob/Smile.obj"), {}, r"'smile' \(anna\) and 'Smile' \(bob\) differ only"),
-    "no neutral": (lambda root: (root / "bob" / "neutral.obj").unlink(), {}, "no neutral 'neutral' in bob"),
+    "no neutral": (lambda root: (root / "bob" / "neutral.obj").unlink(), {},
+                   r"no neutral 'neutral' in /.*scans.bob, expected"),
+    "no such neutral": (lambda root: (root / "bob" / "smile.obj").unlink(), {"neutral": "smile"},
+                        r"no neutral 'smile' in /.*scans.bob, expected"),
     "unnamed neutral": (lambda root: [rename(f"{who}/neutral.obj", f"{who}/a.obj")(root) for who in PEOPLE],
                         {}, r"dataset\.neutral=NAME\. There are a, frown"),
     "two neutrals": (lambda root: [rename(f"{who}/smile.obj", f"{who}/neutral_2.obj")(root) for who in PEOPLE],
@@ -350,6 +375,18 @@ MISTAKES: dict[str, tuple[Spoil, dict[str, Any], str]] = {
     "misspelt neutral": (lambda root: None, {"neutral": "neutrl"}, "Did you mean 'neutral'"),
     "misspelt person": (lambda root: None, {"identities": ["anna", "bop"]}, "Did you mean 'bob'"),
     "too many people": (lambda root: None, {"identities": 5}, "5 asked for, but the folder holds 2"),
+    **{f"{setting} is {value!r}": (lambda root: None, {setting: value}, rf"^dataset\.{setting}: expected {expected}$")
+       for setting, value, expected in (
+           ("root", 5, r"a path \(\./5 for one that is named 5\), got 5\."),
+           ("regions", 5, r"a path .*, got 5\."),
+           ("cache", ["a"], r"a path .*, got \['a'\]\."),
+           ("units", None, r"text such as 'mm', got null\."),
+           ("align", None, r"text such as 'load', got null\."),
+           ("up", 5, r"text such as '\+y', got 5\."))},
+    "neutral is a number": (lambda root: None, {"neutral": 5}, r"dataset\.neutral: '5' is unknown"),
+    "one person twice": (lambda root: None, {"identities": ["anna", "anna"]},
+                         r"dataset\.identities: expected each person once, got anna, anna; remove one"),
+    "a pipe": (lambda root: os.mkfifo(root / "bob" / "e3.obj"), {}, r"bob.e3\.obj: .* found a pipe"),
     "unknown unit": (lambda root: None, {"units": "km"}, r"dataset\.units: 'km' is unknown"),
     "unknown axis": (lambda root: None, {"up": "+w"}, r"dataset\.up: expected one of \+x"),
     "axes that agree": (lambda root: None, {"front": "-y"}, r"expected an axis across dataset\.up"),
@@ -419,7 +456,7 @@ def upside_down() -> Regions:
 def test_what_cannot_be_used_is_refused_with_the_file_and_the_mend(folder: Path, mistake: str) -> None:
     spoil, changed, message = MISTAKES[mistake]
     spoil(folder)
-    if changed.get("cache"):
+    if isinstance(changed.get("cache"), str):
         changed = {"cache": str(folder.parent / changed["cache"])}
     with pytest.raises(InvalidInput, match=message):
         settings(folder, **changed).load()
