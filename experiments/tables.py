@@ -12,8 +12,9 @@ import pandas as pd
 import pyarrow as pa
 
 from experiments.catalogue import sentence
+from experiments.glossary import glossary
 from experiments.plan import Plan
-from experiments.record import SCHEMA, read_record
+from experiments.record import SCHEMA, read_header, read_record
 from experiments.references import REFERENCES
 from experiments.study import Row
 from experiments.version import environment
@@ -70,7 +71,8 @@ def write_tables(
     write_whole(folder / "metrics.parquet", lambda temporary: metrics.to_parquet(temporary, index=False))
     write_whole(folder / "cells.parquet", lambda temporary: cells.to_parquet(temporary, index=False))
     write_whole(folder / "summary.csv", lambda temporary: summary.to_csv(temporary, index=False))
-    description = json.dumps(_describe(planned, config, started), indent=1)
+    described = _describe(planned, config, started) | {"glossary": _glossary(planned, metrics, cells)}
+    description = json.dumps(described, indent=1)
     write_whole(folder / "study.json", lambda temporary: temporary.write_text(description))
     return summary
 
@@ -125,6 +127,15 @@ def _describe(planned: Plan, config: Mapping[str, Any], started: datetime) -> di
             "seed": study.seed,
         },
     }
+
+
+def _glossary(planned: Plan, metrics: pd.DataFrame, cells: pd.DataFrame) -> dict[str, Any]:
+    """What the tables name, in words."""
+    headers = (read_header(planned.folder / cell.id) for cell in planned.cells)
+    known = (header["directions"] for header in headers if header)
+    directions: Mapping[str, str] = next(filter(None, known), {})
+    named = [f"{column} {name}" for column in ("weights", "correspondence") for name in cells[column].unique()]
+    return glossary(metrics["metric"].unique(), directions, named)
 
 
 def _kind(row: Row) -> str:
