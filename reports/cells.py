@@ -58,7 +58,17 @@ class Block:
 
     def failures(self, method: str) -> int:
         """The number of cells that the method failed or did not serve."""
-        return int((~self.finished[method]).sum())
+        return int(self._failures[method])
+
+    @cached_property
+    def _failures(self) -> pd.Series[int]:
+        return (~self.finished).sum()
+
+    @cached_property
+    def measured(self) -> tuple[tuple[str, str], ...]:
+        """(metric, region) in the order of the rows."""
+        pairs = self.rows[["metric", "region"]].drop_duplicates()
+        return tuple(zip(pairs["metric"], pairs["region"], strict=True))
 
     @cached_property
     def clusters(self) -> Clusters:
@@ -89,7 +99,7 @@ class Block:
 def blocks(metrics: pd.DataFrame, order: Sequence[str] | None = None) -> Iterator[Block]:
     """Split the tidy table by conditions and number of examples; `order` names methods first to last."""
     keys = [*CONDITIONS, "n_examples"]
-    methods = list(order) if order is not None else list(dict.fromkeys(metrics["method"]))
+    methods = list(order) if order is not None else list(metrics["method"].unique())
     for key, rows in metrics.groupby(keys, observed=True, sort=True, dropna=False):
         *conditions, n_examples = cast(tuple[Any, ...], key)
         present = set(rows["method"].unique())

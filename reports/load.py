@@ -1,4 +1,4 @@
-"""Results folders, read back: everything a report says comes from these files."""
+"""Results folders, read back: everything a report says comes from study.json, metrics.parquet and cells.parquet."""
 
 from __future__ import annotations
 
@@ -14,20 +14,14 @@ import pandas as pd
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from reports.cells import CONDITIONS, FINISHED, check_metrics
+from reports.cells import FINISHED
+from reports.checks import check_facts, check_tables
 from reports.search import find_results
+from reports.summary import summarise
 from retarget.check import InvalidInput
 from retarget.types import FloatArray, IntArray
 
 SCHEMA = 1
-_FACTS = (
-    "study", "title", "description", "config", "reference", "primary_family", "primary_metric", "primary_region",
-    "methods", "n_examples", "draws", "identities", "expressions", "vertices", "faces", "dataset", "provenance",
-)  # fmt: skip
-_CELL_COLUMNS = (
-    "cell", "method", "source", "target", "n_examples", "draw", *CONDITIONS, "status", "reason", "prepare_seconds",
-    "fit_seconds", "seconds_per_expression", "peak_memory_mb",
-)  # fmt: skip
 _IRRELEVANT = ("paths", "backend", "report", "hydra")  # parts of a configuration that decide no number
 
 
@@ -99,7 +93,7 @@ class StudyResults:
     folder: Path
     facts: Mapping[str, Any]  # study.json
     metrics: pd.DataFrame
-    summary: pd.DataFrame
+    summary: pd.DataFrame  # of `summary.summarise`
     cells: pd.DataFrame
     differs: str = ""  # what sets it apart from the other folders of one report, e.g. "dataset.noise_mm=0.3"
 
@@ -164,7 +158,7 @@ def load(folders: Sequence[Path]) -> tuple[StudyResults, ...]:
 
     A study with several correspondences of examples becomes one for each. Several folders are told apart by what their
     configurations set differently. Raises InvalidInput for a folder that holds no finished study, or one of another
-    schema.
+    schema, and for tables that are not whole (`reports.checks`).
     """
     found = find_results(folders, lambda folder: (folder / "study.json").exists())
     studies = [part for path in found for part in _by_correspondence(_load(path))]
@@ -194,21 +188,28 @@ def _load(folder: Path) -> StudyResults:
             f"{path}: these results have schema {schema}, this version reads schema {SCHEMA}. "
             "Nothing was changed. Read them with the version that wrote them, or run the study again elsewhere."
         )
-    if missing := [name for name in _FACTS if name not in facts]:
-        raise InvalidInput(f"{path}: expected the entries {', '.join(missing)}; run the study again.")
-    metrics = _table(folder / "metrics.parquet")
-    check_metrics(str(folder / "metrics.parquet"), metrics)
-    cells = _table(folder / "cells.parquet")
-    if lacking := [name for name in _CELL_COLUMNS if name not in cells.columns]:
-        raise InvalidInput(
-            f"{folder / 'cells.parquet'}: columns {', '.join(lacking)} are missing; run the study again."
-        )
-    return StudyResults(folder, facts, metrics, _table(folder / "summary.csv"), cells)
+    check_facts(path, facts)
+    metrics, cells = _table(folder / "metrics.parquet"), _table(folder / "cells.parquet")
+    check_tables(folder, facts, metrics, cells)
+    return StudyResults(folder, facts, metrics, _summary(facts, metrics), cells)
+
+
+def _summary(facts: Mapping[str, Any], metrics: pd.DataFrame) -> pd.DataFrame:
+    """The table of summary.csv, made anew: what a report says has one source."""
+    untested = {method["name"] for method in facts["methods"] if method["kind"] == "reference"}
+    return summarise(
+        metrics,
+        facts["reference"],
+        [name for name in facts["primary_family"] if name not in untested],
+        facts["primary_metric"],
+        facts["primary_region"],
+        facts["provenance"]["seed"],
+    )
 
 
 def _table(path: Path) -> pd.DataFrame:
     try:
-        return pd.read_csv(path) if path.suffix == ".csv" else pd.read_parquet(path)
+        return pd.read_parquet(path)
     except FileNotFoundError as error:
         raise InvalidInput(f"{path}: this file is missing, so the study did not finish; start it again.") from error
     except (pa.ArrowException, ValueError) as error:

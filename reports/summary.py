@@ -42,9 +42,10 @@ def summarise(
     Raises InvalidInput if the table lacks a column.
     """
     check_metrics("metrics", metrics)
-    rows = [row for block in blocks(metrics) for row in _summarise(block, reference, seed)]
+    split = list(blocks(metrics))
+    rows = [row for block in split for row in _summarise(block, reference, seed)]
     summary = pd.DataFrame(rows, columns=list(SUMMARY_COLUMNS))
-    tests = paired_tests(metrics, reference, primary_family, primary_metric, primary_region, seed)
+    tests = _tests(split, reference, primary_family, primary_metric, primary_region, seed)
     keys = ["method", *CONDITIONS, "n_examples", "metric", "region"]
     corrected = tests.assign(metric=primary_metric, region=primary_region).set_index(keys)["p_holm"]
     summary["p_holm"] = corrected.reindex(pd.MultiIndex.from_frame(summary[keys])).to_numpy()
@@ -65,9 +66,15 @@ def paired_tests(
     methods x the example counts of one set of conditions, whether they were run or not. A method without any result
     has n_pairs 0 and no values; one that was not run has no row.
     """
+    return _tests(list(blocks(metrics)), reference, methods, metric, region, seed)
+
+
+def _tests(
+    split: Sequence[Block], reference: str, methods: Sequence[str], metric: str, region: str, seed: int
+) -> pd.DataFrame:
     family = tuple(name for name in dict.fromkeys(methods) if name != reference)
     found = []
-    for block in blocks(metrics):
+    for block in split:
         if reference not in block.compared:
             continue
         resamples = block.resamples(seed)
@@ -89,7 +96,7 @@ def paired_tests(
                "effect", "p", "p_sources", "p_targets", "p_naive"]  # fmt: skip
     table = pd.DataFrame(found, columns=columns)
     table["p_holm"] = np.nan
-    counts = metrics["n_examples"].nunique()
+    counts = len({block.n_examples for block in split})
     for _, tests in table.groupby(list(CONDITIONS), sort=False, dropna=False):
         table.loc[tests.index, "p_holm"] = holm(tests["p"], len(family) * counts)
     return table
@@ -114,15 +121,14 @@ def region_tests(metrics: pd.DataFrame, reference: str, methods: Sequence[str], 
 
 
 def _summarise(block: Block, reference: str, seed: int) -> Iterator[dict[str, Any]]:
-    measured = list(dict.fromkeys(zip(block.rows["metric"], block.rows["region"], strict=True)))
-    columns = [(method, metric, region) for method in block.compared for metric, region in measured]
+    columns = [(method, metric, region) for method in block.compared for metric, region in block.measured]
     values = block.means.reindex(columns=pd.MultiIndex.from_tuples(columns)) if columns else None
     cells = np.empty((len(block.common), 0)) if values is None else values.to_numpy(dtype=np.float64)
     pairs = block.clusters.pair_means(cells)
     low, high = interval(Resamples.of(block.clusters, seed).means(cells))
     at = {column: i for i, column in enumerate(columns)}
     for method in block.methods:
-        for metric, region in measured:
+        for metric, region in block.measured:
             row = {**_labels(block, method), "metric": metric, "region": region, "n_failed": block.failures(method)}
             i, j = at.get((method, metric, region)), at.get((reference, metric, region))
             if i is None or not len(pairs):
