@@ -45,7 +45,7 @@ def read_live_link(path: Path | str) -> Recording:
     increase, or no two rows were tracked.
     """
     path = Path(path)
-    if not path.is_file():
+    if not _is_file(path):
         raise InvalidInput(f"{path}: expected a CSV file of Live Link Face, found none; check the path.")
     rows = tuple(_rows(path))
     tracked = np.array([row.values is not None for row in rows], dtype=bool)
@@ -59,18 +59,25 @@ def read_live_link(path: Path | str) -> Recording:
     times = _times(path, rows)
     values = np.array([row.values for row in rows if row.values is not None])
     weights = values[:, : len(NAMES)]
+    extent = float(weights.min()), float(weights.max())
     low, high = TOLERATED
-    if not low <= weights.min() <= weights.max() <= high:
+    if not low <= extent[0] <= extent[1] <= high:
         worst, column = np.unravel_index(np.argmax(np.abs(weights - 0.5)), weights.shape)
         raise InvalidInput(
             f"{path}, line {[row.line for row in rows if row.values][worst]}: {_app(NAMES[column])} is "
             f"{weights[worst, column]:g}, expected about 0 to 1; divide by 100 if these are percent."
         )
+    if extent[0] < 0 >= extent[1]:
+        raise InvalidInput(
+            f"{path}: expected weights from 0 to 1, but no weight is above 0 (they reach from {extent[0]:.3g} to "
+            f"{extent[1]:.3g}), so that clipping would leave no motion; exchange the sign if it was lost, or {_EXPORT}."
+        )
     clipped = np.zeros(len(rows), dtype=bool)
     clipped[tracked] = ((weights < 0) | (weights > 1)).any(axis=1)
     values[:, : len(NAMES)] = weights.clip(0, 1)
     filled = np.stack([np.interp(times, times[tracked], column) for column in values.T], axis=1)
-    return Recording(path.stem, times, filled[:, : len(NAMES)], filled[:, len(NAMES) :], ~tracked, clipped)
+    weights, rotations = filled[:, : len(NAMES)], filled[:, len(NAMES) :]
+    return Recording(path.stem, times, weights, rotations, ~tracked, clipped, extent=extent)
 
 
 def _rows(path: Path) -> Iterator[_Row]:
@@ -163,6 +170,13 @@ def _times(path: Path, rows: Sequence[_Row]) -> FloatArray:
             "an earlier or the same one; two takes in one file? Split them, or sort the rows."
         )
     return times - times[0]
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name that is too long, or that no file can have
+        return False
 
 
 def _finite(text: str) -> bool:

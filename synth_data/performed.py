@@ -22,7 +22,7 @@ from synth_data.dataset import Conditions, Dataset, DatasetConfig, Progress
 from synth_data.live_link import read_live_link
 from synth_data.noise import check_noise
 from synth_data.recording import Recording
-from synth_data.truth import GenericRig, Performer, Person, cast, truth_code, truth_kind
+from synth_data.truth import GenericRig, Performer, Person, cast, truth_code, truth_kind, truth_kinds
 from synth_data.weights import SOURCES, blending_weights
 
 
@@ -77,6 +77,8 @@ class PerformedConfig(DatasetConfig):
         """Synthesise people and truth. Raises InvalidInput for settings out of range, and as `troupe`."""
         self.check()
         take = None if self.recording is None else read_live_link(Path(self.recording).expanduser())
+        if take is not None:
+            progress(f"recording {take.summary}")
         weights = blending_weights(self.weights, self.expressions, self.expression_seed, take)
         troupe = self.troupe(progress)
         neutrals = {name: check_vertices(name, troupe.refine(person.neutral)) for name, person in troupe.people.items()}
@@ -91,7 +93,7 @@ class PerformedConfig(DatasetConfig):
             regions=troupe.regions,
             identities=tuple(neutrals),
             expressions=tuple(f"{self.weights}-{i:03d}" for i in range(self.expressions)),
-            favours=truth_kind(self.truth).favours,
+            favours=_with_recording(truth_kind(self.truth).favours, take),
             fingerprint=self._fingerprint(take),
             neutrals=neutrals,
             performers=cast(self.truth, troupe.generic, troupe.people, weights, kept, progress),
@@ -103,8 +105,14 @@ class PerformedConfig(DatasetConfig):
         """Raises InvalidInput for a setting out of range."""
         for name, lowest in (("identities", 1), ("first_seed", 0), ("expressions", 1), ("expression_seed", 0)):
             value = getattr(self, name)
-            if not isinstance(value, int) or value < lowest:
+            if not isinstance(value, int) or isinstance(value, bool) or value < lowest:
                 raise InvalidInput(f"dataset.{name}: expected a whole number of at least {lowest}, got {value!r}.")
+        for name, valid in (("truth", truth_kinds()), ("weights", SOURCES)):
+            if not isinstance(value := getattr(self, name), str):
+                raise InvalidInput(f"dataset.{name}: expected one of {', '.join(valid)}, got {value!r}.")
+        for name, what in (("recording", "a Live Link Face CSV"), ("cache", "a folder")):
+            if not isinstance(value := getattr(self, name), str | None):
+                raise InvalidInput(f"dataset.{name}: expected the path of {what}, or null, got {value!r}.")
         check_noise("dataset.noise_mm", self.noise_mm)
         truth_kind(self.truth)
         choose("dataset.weights", self.weights, SOURCES)
@@ -114,6 +122,10 @@ class PerformedConfig(DatasetConfig):
         settings = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in self.elsewhere}
         taken = np.empty(0) if take is None else take.skin[~take.lost]
         return fingerprint([self.source(), repr((settings, float(self.noise_mm))), taken, truth_code(self.package)])
+
+
+def _with_recording(favours: str, take: Recording | None) -> str:
+    return favours if take is None else f"{favours} The expressions come from the recording {take.summary}."
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,15 +22,29 @@ class Recording:
     name: str
     times: FloatArray  # (t,) s, from 0, increasing
     weights: FloatArray  # (t, 52) of `names` in [0, 1]
-    rotations: FloatArray  # (t, 9) of `ROTATIONS`, as recorded
+    rotations: FloatArray  # (t, 9) of `ROTATIONS`, as recorded; 0 where the file has none
     lost: NDArray[np.bool_]  # (t,) rows without tracking; their weights lie between those of their neighbours
     clipped: NDArray[np.bool_]  # (t,) rows in which a value lay outside [0, 1] and was clipped
     names: tuple[str, ...] = NAMES
+    extent: tuple[float, float] = (0.0, 1.0)  # the lowest and the highest weight before clipping
 
     @property
     def fps(self) -> float:
         """The nominal rate in frames per second, whole; dropped frames do not lower it."""
         return float(np.round(1 / np.median(np.diff(self.times))))
+
+    @property
+    def summary(self) -> str:
+        """How much of it was mended, in a line for the user, with a warning where that is most of it."""
+        rows, lost, clipped = len(self.times), int(self.lost.sum()), int(self.clipped.sum())
+        line = f"{self.name}: {rows:,} rows, {lost:,} lost, {clipped:,} clipped"
+        if clipped:
+            line += f" (values from {self.extent[0]:.3g} to {self.extent[1]:.3g})"
+        if 2 * clipped > rows - lost:
+            line += "; warning: most rows leave [0, 1], check that these are weights of ARKit"
+        if 2 * lost > rows:
+            line += "; warning: most rows are lost, check that the face was in view"
+        return line
 
     @property
     def skin(self) -> FloatArray:

@@ -107,6 +107,29 @@ def test_values_a_little_outside_are_clipped_and_told(write: Write) -> None:
     assert weight(path, "jawOpen") == [1, 0, 0]
     assert take.clipped.tolist() == [True, True, False]
     assert take.rotations[1, 0] == -3
+    assert (
+        take.summary
+        == "take: 3 rows, 1 lost, 2 clipped (values from -0.01 to 1); warning: most rows leave [0, 1], are "
+        "these weights of ARKit?"
+    )
+
+
+def test_a_take_says_how_much_of_it_was_mended(write: Write) -> None:
+    moving = [row(f"00:00:00:{k:02d}", JawOpen=0.1 * k) for k in range(4)]
+    assert read_live_link(write(*moving)).summary == "take: 4 rows, 0 lost, 0 clipped"
+    much = [*moving, row("00:00:00:04", JawOpen=1.24), row("00:00:00:05", JawLeft=-0.3)]
+    assert read_live_link(write(*much)).summary == "take: 6 rows, 0 lost, 2 clipped (values from -0.3 to 1.24)"
+    lost = [*moving, *([f"00:00:00:{k:02d}", "0"] for k in range(4, 9))]
+    assert read_live_link(write(*lost)).summary.endswith(
+        "5 lost, 0 clipped; warning: most rows are lost, was the face in view?"
+    )
+
+
+def test_weights_that_are_all_negative_are_refused(write: Write) -> None:
+    with pytest.raises(
+        InvalidInput, match=r"take\.csv: expected weights .* no weight is above 0 \(they reach from -0\.4 to 0"
+    ):
+        read_live_link(write(row("00:00:00:00", JawOpen=-0.4), row("00:00:00:01", JawOpen=-0.1)))
 
 
 @pytest.mark.parametrize(("fps", "step"), [(30, 2), (60, 1)])
