@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from retarget.check import InvalidInput, check_triangle_areas, check_vertices
 from retarget.suggest import choose
@@ -73,6 +74,7 @@ class PerformedConfig(DatasetConfig):
         """The seed of each identity, by name."""
         return {f"person-{seed:03d}": seed for seed in range(self.first_seed, self.first_seed + self.identities)}
 
+    @threadpool_limits.wrap(limits=1)  # the same bits however many cores there are
     def load(self, progress: Progress = lambda line: None) -> PerformedDataset:
         """Synthesise people and truth. Raises InvalidInput for settings out of range, and as `troupe`."""
         self.check()
@@ -150,6 +152,7 @@ class PerformedDataset(Dataset):
     def frames(self, identity: str, indices: Sequence[int]) -> FloatArray:
         return self.perform(identity, self.weights[self.chosen(indices, "raise `dataset.expressions`")])
 
+    @threadpool_limits.wrap(limits=1)
     def perform(self, identity: str, weights: FloatArray) -> FloatArray:
         """(t, n, 3) mm for weights (t, 51) of `synth_data.arkit.SKIN_NAMES`: `synth_data.dataset.Rigged`."""
         return self.refine(self.performers[self.known(identity)](weights))

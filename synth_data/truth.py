@@ -96,7 +96,11 @@ class Blendshapes:
     deltas: FloatArray  # (51, n, 3) mm
 
     def __call__(self, weights: FloatArray) -> FloatArray:
-        return self.neutral + np.tensordot(np.atleast_2d(weights), self.deltas, axes=1)
+        weights = np.atleast_2d(weights)
+        frames = np.empty((len(weights), *self.neutral.shape))
+        for frame, strengths in zip(frames, weights, strict=True):  # one by one: the same bits alone and among others
+            frame[:] = self.neutral + np.tensordot(strengths, self.deltas, axes=1)
+        return frames
 
 
 @dataclass(frozen=True)
