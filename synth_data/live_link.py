@@ -1,8 +1,8 @@
 """Recordings of the Live Link Face app (iPhone, ARKit), as it writes them to CSV.
 
-A row is a timecode, a count, the 52 face units and nine rotations of head and eyes. Columns are found by name: tools
-differ in their order, and the app itself puts right before left in some pairs. A row without tracking is
-``timecode,0``. Timecodes are ``HH:MM:SS:FF.fff``.
+A row is a timecode, a count, the 52 face units and nine rotations of head and eyes, which may be absent. Columns are
+found by name: tools differ in their order, and the app itself puts right before left in some pairs. A row without
+tracking is ``timecode,0``. Timecodes are ``HH:MM:SS:FF.fff``.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ class _Row:
     line: int
     second: float  # of the day, whole
     frame: float  # within the second
-    values: tuple[float, ...] | None  # in the order of `_COLUMNS`; None where tracking was lost
+    values: tuple[float, ...] | None  # in the order of `_COLUMNS`, 0 if absent; None where tracking was lost
 
 
 def read_live_link(path: Path | str) -> Recording:
     """The recording of a CSV. Lost rows are filled linearly in time, values outside [0, 1] are clipped.
 
     Raises InvalidInput that names the file and the line where columns are missing, unknown or named twice, the
-    delimiter is no comma, a row is ragged, a value is no finite number or lies far outside [0, 1], timecodes do not
-    increase, or no two rows were tracked.
+    delimiter is no comma, a row is ragged, a value is no finite number or lies far outside [0, 1], none is positive but
+    some are negative, timecodes do not increase, or no two rows were tracked.
     """
     path = Path(path)
     if not _is_file(path):
@@ -92,8 +92,8 @@ def _rows(path: Path) -> Iterator[_Row]:
         raise InvalidInput(f"{path}: expected a CSV file of text in UTF-8, but {error}; {_EXPORT}.") from error
 
 
-def _header(path: Path, header: Sequence[str]) -> tuple[list[int], int]:
-    """Where the columns of `_COLUMNS` are, and how many there are in the file."""
+def _header(path: Path, header: Sequence[str]) -> tuple[list[int | None], int]:
+    """Where the columns of `_COLUMNS` are, and how many there are in the file. Rotations may be absent: None."""
     if not header:
         raise InvalidInput(f"{path}: expected a header in line 1, got an empty one; {_EXPORT}.")
     if len(header) == 1 and (other := next((mark for mark in ";\t|" if mark in header[0]), None)):
@@ -112,19 +112,19 @@ def _header(path: Path, header: Sequence[str]) -> tuple[list[int], int]:
     for what, wrong in (
         ("unknown", [name for name in found if name not in _COLUMNS]),
         ("named twice:", sorted({name for name in found if found.count(name) > 1})),
-        ("missing:", [name for name in _COLUMNS if name not in found]),
+        ("missing:", [name for name in NAMES if name not in found]),
     ):
         if wrong:
             listed = ", ".join(map(_app, wrong[:5])) + ", ..." * (len(wrong) > 5)
             guess = nearest(_app(wrong[0]), map(_app, _COLUMNS)) if what == "unknown" else ""
             raise InvalidInput(
-                f"{path}, line 1: expected the {len(NAMES)} face units of ARKit and {len(ROTATIONS)} rotations, but "
-                f"{len(wrong)} columns are {what} {listed}.{guess} Mend the header, or {_EXPORT}."
+                f"{path}, line 1: expected the {len(NAMES)} face units of ARKit and up to {len(ROTATIONS)} rotations, "
+                f"but {len(wrong)} columns are {what} {listed}.{guess} Mend the header, or {_EXPORT}."
             )
-    return [2 + found.index(name) for name in _COLUMNS], len(names)
+    return [2 + found.index(name) if name in found else None for name in _COLUMNS], len(names)
 
 
-def _row(path: Path, line: int, row: Sequence[str], order: Sequence[int], width: int) -> _Row:
+def _row(path: Path, line: int, row: Sequence[str], order: Sequence[int | None], width: int) -> _Row:
     where = f"{path}, line {line}"
     match = _TIMECODE.fullmatch(row[0].strip())
     hours, minutes, seconds, frame = map(float, match.groups()) if match else (np.inf,) * 4
@@ -141,28 +141,23 @@ def _row(path: Path, line: int, row: Sequence[str], order: Sequence[int], width:
             f"{len(row)}; the file may have been cut off: delete the line."
         )
     try:
-        values = tuple(float(row[i]) for i in order)
+        values = tuple(0.0 if i is None else float(row[i]) for i in order)
     except ValueError:
         values = (np.nan,)
     if not np.isfinite(values).all():
-        name, text = next((_app(_COLUMNS[k]), row[i]) for k, i in enumerate(order) if not _finite(row[i]))
+        read = ((name, row[i]) for name, i in zip(_COLUMNS, order, strict=True) if i is not None)
+        name, text = next((_app(name), text) for name, text in read if not _finite(text))
         raise InvalidInput(f"{where}: expected a number for {name}, got '{text[:40]}'; mend or delete the line.")
     return _Row(line, second, frame, values)
 
 
 def _times(path: Path, rows: Sequence[_Row]) -> FloatArray:
-    """(t,) s from the first row. A take may pass midnight once.
-
-    Frames are counted in 60ths of a second, unless in more than two seconds no count gets as far.
-    """
+    """(t,) s from the first row. A take may pass midnight once."""
     seconds = np.array([row.second for row in rows])
     frames = np.array([row.frame for row in rows])
     midnight = np.flatnonzero(np.diff(seconds) < -_DAY / 2)[:1]
     seconds += _DAY * (np.arange(len(rows)) > midnight) if len(midnight) else 0.0
-    rate = FRAME_RATES[-1]
-    if seconds[-1] - seconds[0] > 2:
-        rate = next((rate for rate in FRAME_RATES if frames.max() < rate), rate)
-    times = seconds + frames / rate
+    times = seconds + frames / _rate(seconds, frames)
     backwards = np.flatnonzero(np.diff(times) <= 0)
     if len(backwards):
         raise InvalidInput(
@@ -170,6 +165,24 @@ def _times(path: Path, rows: Sequence[_Row]) -> FloatArray:
             "an earlier or the same one; two takes in one file? Split them, or sort the rows."
         )
     return times - times[0]
+
+
+def _rate(seconds: FloatArray, frames: FloatArray) -> int:
+    """In which of `FRAME_RATES` frames are counted: one that no count reaches.
+
+    Where the last count of a second is followed by the first of the next, they are as far apart as the others. A take
+    within one second that counts to less than 30 has 30 frames per second: counted in 60ths, every second one is there.
+    """
+    rates = [rate for rate in FRAME_RATES if frames.max() < rate]
+    later, step = np.diff(seconds), np.diff(frames)
+    if len(rates) == 1 or not (later == 0).any():
+        return FRAME_RATES[-1]
+    spacing = float(np.median(step[later == 0]))
+    counted = spacing - step[later == 1]  # in a second, where no row was dropped at its end
+    counted = counted[counted > FRAME_RATES[0] - 0.5]
+    if len(counted):
+        return min(rates, key=lambda rate: abs(rate - float(np.median(counted))))
+    return 30 if spacing < 1.5 else 60
 
 
 def _is_file(path: Path) -> bool:
