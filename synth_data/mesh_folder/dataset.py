@@ -19,11 +19,13 @@ from retarget.types import FloatArray, IntArray, Regions
 from synth_data.cache import fingerprint
 from synth_data.dataset import Conditions, Dataset, DatasetConfig, Progress
 from synth_data.mesh_folder import summary
+from synth_data.mesh_folder.likeness import Likeness, check_alike
 from synth_data.mesh_folder.listing import LAYOUT, Listing, list_folder
 from synth_data.mesh_folder.placement import (
     Align,
     Frame,
     Poses,
+    check_rigid,
     check_sizes,
     check_still,
     check_upright,
@@ -79,8 +81,11 @@ class MeshFolder(DatasetConfig):
         stored = store_all(listing.files, topology, cache, self.jobs, progress)
         check_sizes(listing.files, stored, self.units)
         raw = {identity: _Raw(meshes, frame, kept) for identity, meshes in stored.items()}
+        start = raw[first].mesh(0)
         if regions is not None:
-            check_upright(listing.files[first][listing.neutral], raw[first].mesh(0), regions)
+            check_upright(topology.file, start, regions)
+        neutrals = {identity: Likeness.of(meshes.mesh(0), start, faces) for identity, meshes in raw.items()}
+        check_alike(listing.files, {identity: found.likeness for identity, found in stored.items()}, neutrals)
         placed = _placed(listing, raw, cranium, align)
         for line in summary.table(listing, {name: meshes.size() for name, meshes in raw.items()}, placed, align):
             progress(line)
@@ -155,6 +160,7 @@ def _placed(listing: Listing, raw: Mapping[str, _Raw], cranium: IntArray | None,
             continue
         crania = meshes.part(cranium)
         placed[identity] = poses(crania, 0, reference, align)
+        check_rigid(listing.files[identity], placed[identity])
         reference = crania[0] if reference is None else reference
         if align is Align.REFUSE:
             check_still(listing.files[identity], placed[identity])

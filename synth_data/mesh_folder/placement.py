@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from retarget.anatomy.landmarks import UNITS as LARGE_UNITS
 from retarget.check import InvalidInput
@@ -21,6 +22,7 @@ from synth_data.mesh_folder.store import Stored
 UNITS = {"mm": 1.0, **LARGE_UNITS}  # in mm
 PLAUSIBLE = (80.0, 1000.0)  # mm, longest side of a neutral: from a mask of the face to a bust
 ALIKE = 2.0  # sizes of people, and of a person's expressions, that differ by more are of different units
+RIGID_MM = 10.0  # RMS left on the cranium; MakeHuman leaves 0.2 mm, and 9.6 where the whole head is the region
 STILL_DEGREES, STILL_MM = 1.0, 1.0  # cranium of an expression against the neutral's, where moving ones are refused
 
 
@@ -29,7 +31,7 @@ class Align(StrEnum):
 
     LOAD = "load"  # every frame is aligned rigidly on the cranium
     REFUSE = "refuse"  # nothing is moved, and a cranium that moves is refused
-    NONE = "none"  # nothing is moved, and nothing is checked
+    NONE = "none"  # nothing is moved, and head motion is not checked
 
 
 @dataclass(frozen=True)
@@ -83,9 +85,7 @@ def poses(crania: FloatArray, neutral: int, reference: FloatArray | None, align:
     found = [rigid_align(cranium, rest) for cranium in crania]
     turns = np.array([rotation for rotation, _ in found])
     moves = np.array([translation for _, translation in found])
-    # From the antisymmetric part too: the arc cosine of the trace alone is blind below 1e-6 degrees.
-    skew = np.stack([turns[:, 2, 1] - turns[:, 1, 2], turns[:, 0, 2] - turns[:, 2, 0], turns[:, 1, 0] - turns[:, 0, 1]])
-    angles = np.arctan2(np.linalg.norm(skew, axis=0), np.trace(turns, axis1=1, axis2=2) - 1)
+    angles = Rotation.from_matrix(turns).magnitude()
     still = np.einsum("kij,kmj->kmi", turns, crania) + moves[:, None]
     residuals = np.sqrt(((still - rest) ** 2).sum(axis=2).mean(axis=1))
     shifts = np.linalg.norm(crania.mean(axis=1) - rest.mean(axis=0), axis=1)
@@ -101,6 +101,18 @@ def unmoved(count: int) -> Poses:
     """Of `count` meshes that stay where they are, unmeasured."""
     nothing = np.zeros(count)
     return Poses(np.tile(np.eye(3), (count, 1, 1)), np.zeros((count, 3)), nothing, nothing, nothing)
+
+
+def check_rigid(files: Files, measured: Poses) -> None:
+    """Raises InvalidInput for the mesh whose cranium fits worst on the neutral's, where that is another shape."""
+    worst = int(np.argmax(measured.residuals))
+    if measured.residuals[worst] > RIGID_MM:
+        raise InvalidInput(
+            f"{list(files.values())[worst]}: the cranium differs from the neutral's by {measured.residuals[worst]:.0f} "
+            f"mm RMS after rigid alignment, expected at most {RIGID_MM:g} mm: the vertices come in another order, the "
+            "scan is damaged there, or the region 'cranium' holds what moves. Export the mesh again, leave it out, or "
+            "make the regions file anew."
+        )
 
 
 def check_still(files: Files, measured: Poses) -> None:

@@ -9,8 +9,8 @@ import hashlib
 import json
 import shutil
 import time
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -21,10 +21,11 @@ from numpy.typing import NDArray
 from retarget.check import InvalidInput
 from retarget.io.files import write_whole
 from synth_data.dataset import Progress
+from synth_data.mesh_folder.likeness import Likeness
 from synth_data.mesh_folder.listing import Files
 from synth_data.mesh_folder.topology import Topology
 
-FORMAT = 1  # raise it when what is stored, or how a file is read, changes
+FORMAT = 2  # raise it when what is stored, or how a file is read, changes
 FOLDER = "meshes"
 UNUSED = 30 * 86400.0  # seconds after which a file that no study read is removed
 WORTH_PROCESSES = 100e6  # bytes of mesh files; fewer are read faster than processes start
@@ -38,6 +39,7 @@ class Stored:
     names: tuple[str, ...]  # (k,)
     digests: tuple[str, ...]  # (k,) SHA-256 of each file
     extents: tuple[float, ...]  # (k,) longest side of the bounding box
+    likeness: tuple[Likeness, ...]  # (k,) with the first
 
     def rows(self) -> NDArray[np.float32]:
         """(k, n, 3), mapped. Raises InvalidInput where the file is gone."""
@@ -89,16 +91,19 @@ def _in_parallel(
 
 def _store(files: Files, topology: Topology, path: Path) -> Stored:
     """Read every file and write the array, then what is known about it: only both together count."""
-    facts: dict[str, list[Any]] = {"names": list(files), "digests": [], "extents": []}
+    facts: dict[str, list[Any]] = {"names": list(files), "digests": [], "extents": [], "likeness": []}
 
     def save(temporary: Path) -> None:
         try:
             with temporary.open("wb") as file:
                 _write_header(file, (len(files), topology.vertex_count, 3))
+                neutral = None
                 for mesh in files.values():
                     read = topology.read(mesh)
+                    neutral = read.vertices if neutral is None else neutral
                     facts["digests"].append(read.digest)
                     facts["extents"].append(float(np.ptp(read.vertices, axis=0).max()))
+                    facts["likeness"].append(astuple(Likeness.of(read.vertices, neutral, topology.faces)))
                     file.write(read.vertices.astype("<f4").tobytes())
         except InvalidInput:
             temporary.unlink(missing_ok=True)
@@ -106,7 +111,12 @@ def _store(files: Files, topology: Topology, path: Path) -> Stored:
 
     write_whole(path, save)
     write_whole(path.with_suffix(".json"), lambda temporary: temporary.write_text(json.dumps(facts)))
-    return Stored(path, **{name: tuple(values) for name, values in facts.items()})
+    return _stored(path, facts)
+
+
+def _stored(path: Path, facts: Mapping[str, Sequence[Any]]) -> Stored:
+    names, digests, extents, likeness = (tuple(facts[name]) for name in ("names", "digests", "extents", "likeness"))
+    return Stored(path, names, digests, extents, tuple(Likeness(*numbers) for numbers in likeness))
 
 
 def _write_header(file: BinaryIO, shape: tuple[int, ...]) -> None:
@@ -116,8 +126,7 @@ def _write_header(file: BinaryIO, shape: tuple[int, ...]) -> None:
 def _known(path: Path, topology: Topology) -> Stored | None:
     """What is stored there, or None where it is absent or not whole."""
     try:
-        facts = json.loads(path.with_suffix(".json").read_text())
-        stored = Stored(path, *(tuple(facts[name]) for name in ("names", "digests", "extents")))
+        stored = _stored(path, json.loads(path.with_suffix(".json").read_text()))
         shape = np.load(path, mmap_mode="r", allow_pickle=False).shape
         path.with_suffix(".json").touch()
     except (OSError, ValueError, KeyError, TypeError):

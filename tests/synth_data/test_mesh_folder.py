@@ -346,6 +346,26 @@ def nan(vertices: FloatArray) -> FloatArray:
     return vertices
 
 
+def shuffled(vertices: FloatArray) -> FloatArray:
+    return np.random.default_rng(0).permutation(vertices)
+
+
+def bob_as_npz(change: Callable[[FloatArray], FloatArray], pattern: str) -> Spoil:
+    """Without faces, so that nothing but positions tells what was done."""
+
+    def spoil(root: Path) -> None:
+        for path in sorted((root / "bob").glob(f"{pattern}.obj")):
+            np.savez(path.with_suffix(".npz"), vertices=change(read_mesh(path)[0]))
+            path.unlink()
+
+    return spoil
+
+
+def dented(vertices: FloatArray) -> FloatArray:
+    vertices[CRANIUM[::2]] *= 1.3
+    return vertices
+
+
 def rename(before: str, after: str) -> Spoil:
     return lambda root: (root / before).rename(root / after)
 
@@ -437,10 +457,51 @@ MISTAKES: dict[str, tuple[Spoil, dict[str, Any], str]] = {
     "regions of another mesh": (lambda root: write_regions(root / "regions.json", Regions({"cranium": [1, 2, 999]})),
                                 {}, "it belongs to another mesh"),
     "no regions file": (lambda root: (root / "regions.json").unlink(), {}, r"expected a regions file, found none"),
+    "a dented cranium": (replace("bob/smile.obj", dented), {},
+                         r"bob.smile\.obj: the cranium differs from the neutral's by 1\d mm RMS"),
     "upside down": (lambda root: write_regions(root / "regions.json", upside_down()), {},
                     r"neutral\.obj: with dataset\.up and dataset\.front as they are, up points along -y"),
     "closed cache": (lambda root: write("file", "")(root.parent), {"cache": "file"}, r"dataset\.cache: cannot write"),
 }  # fmt: skip
+
+
+UNLIKE: dict[str, tuple[Callable[[FloatArray], FloatArray], str]] = {
+    "other axes": (lambda v: v[:, [2, 0, 1]], r"turned by 1[12]\d degrees against"),
+    "on its back": (lambda v: v[:, [0, 2, 1]] * [1, 1, -1], r"turned by [89]\d degrees against"),
+    "mirrored": (lambda v: v * [-1, 1, 1], "mirrored against"),
+    "upside down and mirrored": (lambda v: -v, "mirrored against"),
+    "another order": (shuffled, r"its edges are [234]\S* times as long as those of"),
+}
+ALIGNED: list[dict[str, Any]] = [{}, {"align": "refuse"}, {"align": "none"}, {"align": "none", "regions": None}]
+
+
+@pytest.mark.parametrize("changed", ALIGNED, ids=str)
+@pytest.mark.parametrize("unlike", UNLIKE)
+def test_a_person_or_a_mesh_that_is_unlike_the_others_is_refused(
+    folder: Path, unlike: str, changed: dict[str, Any]
+) -> None:
+    change, message = UNLIKE[unlike]
+    bob_as_npz(change, "smile")(folder)
+    with pytest.raises(InvalidInput, match=rf"bob.smile\.npz: {message} .*bob.neutral\.obj"):
+        settings(folder, **changed).load()
+    (folder / "bob" / "smile.npz").unlink()
+    bob_as_npz(change, "*")(folder)
+    for _ in range(2):  # also from the store
+        with pytest.raises(InvalidInput, match=rf"bob.neutral\.npz: {message} .*anna.neutral\.obj"):
+            settings(folder, **changed).load()
+
+
+def test_noisy_scans_of_heads_that_turn_far_and_faces_that_move_far_are_read(folder: Path) -> None:
+    rng = np.random.default_rng(1)
+    far = head("bob") + 5 * (performed("bob", "smile") - head("bob"))
+    assert np.linalg.norm(far - head("bob"), axis=1).max() > 80
+    far = moved(far, 50.0, 300.0) + rng.normal(0, 2, far.shape)
+    write_obj(folder / "bob" / "smile.obj", far, FACES)
+    for path in (folder / "anna").glob("*.obj"):
+        replace(path.name, lambda v: moved(v, 40.0, 0.0))(path.parent)
+    data = settings(folder).load()
+    assert data.placed["bob"].degrees.max() == pytest.approx(50, abs=2)
+    assert 2 < data.placed["bob"].residuals.max() < 5
 
 
 def as_twice(root: Path) -> None:
