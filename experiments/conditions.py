@@ -25,7 +25,8 @@ def by_condition(config: DictConfig) -> dict[str, DictConfig]:
             "study.conditions: expected settings of the dataset by the names of the conditions, such as "
             f"{{quiet: {{noise_mm: 0.0}}, noisy: {{noise_mm: 0.3}}}}, got {listed!r}."
         )
-    return {str(name): _under(config, str(name), settings) for name, settings in listed.items()}
+    names = [str(name) for name in listed]
+    return {name: _under(config, name, settings, names) for name, settings in zip(names, listed.values(), strict=True)}
 
 
 def said(settings: Mapping[str, object]) -> str:
@@ -38,7 +39,7 @@ def _datasets_with(key: str) -> list[str]:
     return [name for name in options("dataset") if key in OmegaConf.load(CONF / "dataset" / f"{name}.yaml")]
 
 
-def _under(config: DictConfig, name: str, settings: object) -> DictConfig:
+def _under(config: DictConfig, name: str, settings: object, names: list[str]) -> DictConfig:
     where = f"study.conditions.{name}"
     if not _NAME.fullmatch(name):
         raise InvalidInput(f"{where}: expected a name of letters, digits, '_' and '-', a letter first.")
@@ -56,4 +57,5 @@ def _under(config: DictConfig, name: str, settings: object) -> DictConfig:
     OmegaConf.set_struct(comparison, False)
     comparison.study.kind = "comparison"
     comparison.study.pop("conditions")
+    comparison.conditions = names  # the order in which a report shows them
     return comparison

@@ -38,7 +38,7 @@ _FACTS: Mapping[str, Any] = {  # of study.json; a mapping stands for named entri
     "dataset": {"name": str, "truth": str, "weights": str, "noise_mm": float, "favours": str, "fingerprint": str},
     "provenance": {
         "project_version": str, "code_hash": str, "python": str, "platform": str, "cores": int, "threads": int,
-        "packages": dict, "finished": str, "wall_seconds": float, "seed": int,
+        "packages": dict, "started": str, "finished": str, "wall_seconds": float, "seed": int,
     },
 }  # fmt: skip
 

@@ -22,7 +22,8 @@ from retarget.check import InvalidInput
 from retarget.types import FloatArray, IntArray
 
 SCHEMA = 1
-_IRRELEVANT = ("paths", "backend", "report", "hydra")  # parts of a configuration that decide no number
+SANITY = ("additive",)  # kinds of truth on which a method is exact by construction: no statement is made of them
+_IRRELEVANT = ("paths", "backend", "report", "hydra", "conditions")  # parts of a configuration that decide no number
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,11 @@ class StudyResults:
         return next((m.kind for m in self.methods if m.name == method), "method")
 
     @property
+    def sanity(self) -> bool:
+        """Whether its truth is a check of the methods that are exact on it, and no evidence."""
+        return self.facts["dataset"]["truth"] in SANITY
+
+    @property
     def unit(self) -> str:
         """The unit of the primary metric."""
         return self.unit_of(self.facts["primary_metric"])
@@ -157,12 +163,22 @@ def load(folders: Sequence[Path]) -> tuple[StudyResults, ...]:
     """Read results folders; one without a study.json stands for the results folders inside it.
 
     A study with several correspondences of examples becomes one for each. Several folders are told apart by what their
-    configurations set differently. Raises InvalidInput for a folder that holds no finished study, or one of another
-    schema, and for tables that are not whole (`reports.checks`).
+    configurations set differently; they stand in the order in which their study lists its conditions, else in that of
+    their start, whichever is named first, and a truth of `SANITY` last. Raises InvalidInput for a folder that holds no
+    finished study, or one of another schema, and for tables that are not whole (`reports.checks`).
     """
     found = find_results(folders, lambda folder: (folder / "study.json").exists())
-    studies = [part for path in found for part in _by_correspondence(_load(path))]
+    whole = sorted((_load(path) for path in found), key=_place)
+    studies = [part for study in whole for part in _by_correspondence(study)]
     return tuple(replace(s, differs=differs) for s, differs in zip(studies, _differences(studies), strict=True))
+
+
+def _place(study: StudyResults) -> tuple[bool, int, str, str]:
+    """Sorts the conditions of a study: the same folders give the same order, however they were named."""
+    listed = study.facts["config"].get("conditions")
+    names = listed if isinstance(listed, list) else []
+    place = names.index(study.folder.name) if study.folder.name in names else len(names)
+    return study.sanity, place, study.facts["provenance"]["started"], str(study.folder)
 
 
 def _by_correspondence(study: StudyResults) -> Iterator[StudyResults]:

@@ -18,7 +18,6 @@ from reports.text import bounds, number
 from retarget.types import FloatArray
 
 FEWEST = 3  # methods from which two orders are compared
-SANITY = ("additive",)  # kinds of truth on which a method is exact by construction: no statement is made of them
 
 
 @dataclass(frozen=True)
@@ -34,14 +33,14 @@ class Ordering:
         short = all(part.startswith("dataset.") for each in parts for part in each)
         return tuple(
             ", ".join(part.removeprefix("dataset.").replace("=", " ") if short else part for part in each)
-            + (" (sanity)" if study.facts["dataset"]["truth"] in SANITY else "")
+            + (" (sanity)" if study.sanity else "")
             for study, each in zip(self.studies, parts, strict=True)
         )
 
     @cached_property
     def stated(self) -> tuple[int, ...]:
         """The conditions that statements are about: all but those of sanity, unless there are no others."""
-        kept = [i for i, study in enumerate(self.studies) if study.facts["dataset"]["truth"] not in SANITY]
+        kept = [i for i, study in enumerate(self.studies) if not study.sanity]
         return tuple(kept or range(len(self.studies)))
 
     @cached_property

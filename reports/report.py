@@ -29,7 +29,7 @@ from reports.heads import HeadPages, render_heads
 from reports.limits import limits
 from reports.load import StudyResults
 from reports.method_pages import patch_figure
-from reports.ordering import SANITY, Ordering, overview
+from reports.ordering import Ordering, overview
 from reports.ordering_plot import ordering_plot
 from reports.page import write_page
 from reports.sheet import pictures
@@ -189,11 +189,7 @@ def _sheet(sheet: Sheet, work: Path, number: int) -> dict[str, Any]:
 
 def _claims(gathered: Gathered) -> dict[str, Any]:
     """Published claims with what each study says of them; those without any value apart."""
-    named = {
-        name or str(study.facts["study"]): study
-        for name, study in _named(gathered)
-        if study.facts["dataset"]["truth"] not in SANITY
-    }
+    named = {name or str(study.facts["study"]): study for name, study in _named(gathered) if not study.sanity}
     judged = judge(read_claims(), named, gathered.tables)
     return {
         "several": len(named) > 1,

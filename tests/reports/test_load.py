@@ -38,6 +38,27 @@ def test_sweep_folders_are_told_apart_by_what_differs(tmp_path: Path) -> None:
     assert len(load([tmp_path / "0", tmp_path / "0"])) == 1
 
 
+def _start(folder: Path, started: str, truth: str = "nonlinear", listed: list[str] | None = None) -> Path:
+    write_example_study(folder, identities=2, draws=1, failures=False)
+    _set("provenance", "started", to=f"2026-01-02T{started}+00:00")(folder)
+    _set("dataset", "truth", to=truth)(folder)
+    _set("config", to={"dataset": {"truth": truth}} | ({"conditions": listed} if listed else {}))(folder)
+    return folder
+
+
+@pytest.mark.parametrize("listed", [False, True])
+def test_the_same_folders_have_one_order_with_sanity_last(tmp_path: Path, listed: bool) -> None:
+    """As the configuration lists them, else as they were started; never as they were named, or by the alphabet."""
+    names = ["quiet", "personal", "additive", "loud"]
+    starts = reversed(range(4)) if listed else range(4)
+    folders = [
+        _start(tmp_path / name, f"0{i}:00:00", name if name == "additive" else "linear", names if listed else None)
+        for name, i in zip(names, starts, strict=True)
+    ]
+    for given in (folders, folders[::-1], [tmp_path]):
+        assert [study.folder.name for study in load(given)] == ["quiet", "personal", "loud", "additive"]
+
+
 def test_folders_with_equal_settings_are_told_apart_by_name(tmp_path: Path) -> None:
     folders = [write_example_study(tmp_path / name) for name in ("first", "second")]
     assert [study.differs for study in load(folders)] == ["first", "second"]
