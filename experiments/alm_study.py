@@ -15,7 +15,7 @@ from rich.console import Console
 from experiments.collision import chosen_pairs
 from experiments.progress import print_path
 from experiments.protocol import draw
-from experiments.study import check_whole
+from experiments.study import check_settings, check_whole
 from reports.curves_sheet import Panel, write_curves_sheet
 from retarget.check import InvalidInput
 from retarget.io.files import write_whole
@@ -38,6 +38,7 @@ class AlmStudy:
     @classmethod
     def from_config(cls, config: Mapping[str, Any]) -> Self:
         """Raises InvalidInput for a value that the study cannot have."""
+        check_settings("study", config, cls)
         study = cls(**config)
         for name in ("pairs", "expressions", "shapes"):
             check_whole(f"study.{name}", getattr(study, name), 1)

@@ -18,7 +18,7 @@ from experiments.catalogue import MethodMaker
 from experiments.collision import chosen_pairs
 from experiments.progress import Advance, print_path, progress
 from experiments.protocol import draw
-from experiments.study import check_whole
+from experiments.study import check_settings, check_whole
 from reports.artistic_sheet import Panel, write_artistic_sheet
 from reports.terminal import print_edits
 from retarget.artistic import Edits
@@ -49,6 +49,7 @@ class ArtisticStudy:
     @staticmethod
     def from_config(config: Mapping[str, Any]) -> ArtisticStudy:
         """Raises InvalidInput for a value that the study cannot have."""
+        check_settings("study", config, ArtisticStudy)
         study = ArtisticStudy(**config)
         check_whole("study.n_examples", study.n_examples, 0)
         if not isinstance(study.edits, Mapping) or not study.edits:

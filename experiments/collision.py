@@ -24,7 +24,7 @@ from experiments.catalogue import MethodMaker
 from experiments.lip_depth import LipDepth
 from experiments.progress import Advance, print_path, progress
 from experiments.protocol import draw
-from experiments.study import check_whole
+from experiments.study import check_settings, check_whole
 from reports.collision_sheet import Case, write_collision_sheet
 from reports.terminal import print_collisions
 from retarget.check import InvalidInput
@@ -53,6 +53,7 @@ class CollisionStudy:
     @staticmethod
     def from_config(config: Mapping[str, Any]) -> CollisionStudy:
         """Raises InvalidInput for a value that the study cannot have."""
+        check_settings("study", config, CollisionStudy)
         study = CollisionStudy(**config)
         for name, least in (("n_examples", 0), ("pairs", 1), ("expressions", 1), ("shown", 1)):
             check_whole(f"study.{name}", getattr(study, name), least)

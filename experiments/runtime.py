@@ -21,7 +21,7 @@ from experiments.catalogue import MethodMaker, make_method
 from experiments.collision import chosen_pairs
 from experiments.memory import peak_memory_mb
 from experiments.progress import Advance, print_path, progress
-from experiments.study import check_whole
+from experiments.study import check_settings, check_whole
 from reports.terminal import print_runtime
 from retarget.anatomical_transfer import former
 from retarget.anatomy.fit import fit_head
@@ -59,6 +59,7 @@ class RuntimeStudy:
     @staticmethod
     def from_config(config: Mapping[str, Any]) -> RuntimeStudy:
         """Raises InvalidInput for a value that the study cannot have."""
+        check_settings("study", config, RuntimeStudy)
         study = RuntimeStudy(**{**config, "surfaces": tuple(config["surfaces"])})
         for name, value, least in (
             ("animation_frames", study.animation_frames, FRAMES_LEAST),

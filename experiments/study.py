@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, ClassVar
@@ -14,7 +14,7 @@ from experiments.correspondence import CORRESPONDENCES, EmbeddingSettings, Riggi
 from experiments.protocol import Draw, draw
 from experiments.references import REFERENCES
 from retarget.check import InvalidInput
-from retarget.suggest import choose
+from retarget.suggest import choose, nearest
 from retarget.types import FloatArray, Retargeter
 from synth_data.dataset import Dataset
 
@@ -60,6 +60,7 @@ class Study:
     @staticmethod
     def from_config(config: Mapping[str, Any]) -> Study:
         """Raises InvalidInput for a value that no study can have. Of a list of references the first is taken."""
+        check_settings("study", config, Study)
         values = dict(config)
         if isinstance(values["reference"], list) and values["reference"]:
             values["reference"] = values["reference"][0]
@@ -69,7 +70,10 @@ class Study:
             if not isinstance(values[key], list):
                 raise InvalidInput(f"study.{key}: expected a list such as [5,15], got {values[key]!r}.")
             values[key] = tuple(values[key])
-        figures = Figures(**values.pop("figures"))
+        if not isinstance(kept := values.pop("figures"), Mapping):
+            raise InvalidInput(f"study.figures: expected settings such as {{pairs: 2}}, got {kept!r}.")
+        check_settings("study.figures", kept, Figures)
+        figures = Figures(**kept)
         for key in ("seed", "draws", "test_expressions"):
             check_whole(f"study.{key}", values[key], 0 if key == "seed" else 1)
         for count in values["n_examples"]:
@@ -168,6 +172,16 @@ def _method(name: str, settings: Mapping[str, Any]) -> Retargeter:
             f"method {name}: {settings.get('_target_')} makes a {type(method).__name__}, expected a Retargeter."
         )
     return method
+
+
+def check_settings(where: str, config: Iterable[str], made: type) -> None:
+    """Raises InvalidInput for a setting that what is made of them, a dataclass, does not have."""
+    known = [field.name for field in fields(made)]
+    for name in config:
+        if name not in known:
+            raise InvalidInput(
+                f"{where}.{name}: no setting of this study, expected one of {', '.join(known)}.{nearest(name, known)}"
+            )
 
 
 def check_whole(name: str, value: object, least: int) -> None:

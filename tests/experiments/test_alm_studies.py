@@ -107,6 +107,7 @@ def test_borders_join_the_cores_of_two_patches() -> None:
         (ShapesStudy, SHAPES, {"pairs": 0}, "study.pairs"),
         (OverlapStudy, OVERLAP, {"rings": [-1]}, "study.rings"),
         (LeaveOutStudy, LEAVE_OUT, {"folds": 9}, "study.folds"),
+        (LeaveOutStudy, LEAVE_OUT, {"fold": 2}, "study.fold: no setting of this study, .* Did you mean 'folds'"),
     ],
 )
 def test_settings_out_of_range_are_refused(

@@ -73,6 +73,7 @@ def test_the_page_is_a_pdf(folder: Path) -> None:
     [
         ({"edits": {}}, "study.edits: expected edits by their titles"),
         ({"n_examples": -1}, "study.n_examples"),
+        ({"edit": {}}, r"study\.edit: no setting of this study, .* Did you mean 'edits'"),
     ],
 )
 def test_settings_out_of_range_are_refused(change: dict[str, object], message: str) -> None:

@@ -299,6 +299,13 @@ CONFIG |= {"reference": "delta", "figures": {"pairs": 0, "draws": 0}}
         ({"span": "all"}, "study.span: 'all' is unknown"),
         ({"references": ["neutrl"]}, "Did you mean 'neutral'"),
         ({"primary_family": ["lbz"]}, "study.primary_family: 'lbz' is unknown, .* Did you mean 'lbs'"),
+        (
+            {"first_seed": 1000},
+            r"study\.first_seed: no setting of this study, expected one of name, title, .* measures\.",
+        ),
+        ({"drawz": 2}, r"study\.drawz: no setting .* Did you mean 'draws'"),
+        ({"figures": {"pair": 0}}, r"study\.figures\.pair: no setting .* pairs, draws, parts\. Did you mean 'pairs'"),
+        ({"figures": 3}, "study.figures: expected settings such as {pairs: 2}, got 3"),
     ],
 )
 def test_values_that_no_study_can_have_are_refused(change: dict[str, Any], words: str) -> None:
