@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from hydra._internal.utils import get_args_parser
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
+from hydra.core.override_parser.types import Override, Quote, QuotedString
 from hydra.errors import HydraException
 from omegaconf import DictConfig
 
@@ -34,13 +35,7 @@ def check_overrides(config_name: str, arguments: Sequence[str]) -> list[str]:
     sweep into a folder that cannot be written, because Hydra makes that folder before any code of ours runs.
     """
     parsed = get_args_parser().parse_args(list(arguments))
-    try:
-        overrides = OverridesParser.create().parse_overrides(parsed.overrides)
-    except HydraException as error:
-        raise InvalidInput(
-            f"cannot read the command line: {error} Settings are written KEY=VALUE; quote a value that holds "
-            "brackets, commas or '=', for example 'inputs=[\"results/a=1\"]'."
-        ) from error
+    overrides = [_parsed(argument) for argument in parsed.overrides]
     groups = CHOICES[config_name]
     choices = [override for override in overrides if override.key_or_group in groups]
     for override in choices:
@@ -61,6 +56,26 @@ def check_overrides(config_name: str, arguments: Sequence[str]) -> list[str]:
     check_folder(Path(folders[-1] if folders else "results"))
     fixed = [override.key_or_group for override in overrides if not override.is_sweep_override()]
     return [f"hydra.job.config.override_dirname.exclude_keys=[{','.join(fixed)}]"]
+
+
+def _parsed(argument: str) -> Override:
+    try:
+        (override,) = OverridesParser.create().parse_overrides([argument])
+    except HydraException as error:
+        key, _, value = argument.partition("=")
+        raise InvalidInput(
+            f"cannot read the command line at {argument} (settings are written KEY=VALUE). A value with blanks, "
+            "umlauts, brackets, commas, '=' or other special characters needs quotes within quotes, as in "
+            f"{_quoted(key, value)}"
+        ) from error
+    return override
+
+
+def _quoted(key: str, value: str) -> str:
+    """A value as both the shell and Hydra read it; for what looks like a list, or like no value, an example."""
+    if not value or value[0] in "[{\"'":
+        return "'inputs=[\"results/a=1\"]'"
+    return shlex.quote(f"{key}={QuotedString(value, Quote.double).with_quotes()}")
 
 
 def _chosen(override: Override) -> Iterator[str]:

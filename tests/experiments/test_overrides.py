@@ -1,4 +1,7 @@
+import shlex
+
 import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from experiments.catalogue import GROUPS, options, sentence
 from experiments.overrides import check_overrides
@@ -38,6 +41,27 @@ def test_valid_command_lines_pass(arguments: list[str]) -> None:
 def test_misspelt_ones_are_refused_with_the_nearest_valid_one(arguments: list[str], words: str) -> None:
     with pytest.raises(InvalidInput, match=words):
         check_overrides("run", arguments)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        "/data/Müller/take 7.csv",
+        "take (2).csv",
+        "a=b/take.csv",
+        "it's fünf.csv",
+        'take "5" ü.csv',
+        "ü\\",
+        "take#1,é.csv",
+    ],
+)
+def test_a_value_that_needs_quotes_is_given_back_with_them(value: str) -> None:
+    """What the message tells the user to copy is read as the value that was meant."""
+    with pytest.raises(InvalidInput, match="needs quotes within quotes") as refused:
+        check_overrides("run", ["study=ci", f"dataset.recording={value}"])
+    copied = shlex.split(str(refused.value).split("quotes within quotes, as in ")[1])[0]
+    (read,) = OverridesParser.create().parse_overrides([copied])
+    assert (read.key_or_group, read.value()) == ("dataset.recording", value)
 
 
 def test_every_option_of_every_group_has_a_sentence() -> None:
