@@ -17,6 +17,7 @@ from reports.load import MethodFacts, StudyResults
 from reports.text import bounds, number
 from retarget.types import FloatArray
 
+_CHECK = " (sanity)"
 FEWEST = 3  # methods from which two orders are compared
 
 
@@ -33,7 +34,7 @@ class Ordering:
         short = all(part.startswith("dataset.") for each in parts for part in each)
         return tuple(
             ", ".join(part.removeprefix("dataset.").replace("=", " ") if short else part for part in each)
-            + (" (sanity)" if study.sanity else "")
+            + (_CHECK if study.sanity else "")
             for study, each in zip(self.studies, parts, strict=True)
         )
 
@@ -42,6 +43,11 @@ class Ordering:
         """The conditions that statements are about: all but those of sanity, unless there are no others."""
         kept = [i for i, study in enumerate(self.studies) if not study.sanity]
         return tuple(kept or range(len(self.studies)))
+
+    @cached_property
+    def checks(self) -> tuple[str, ...]:
+        """Names of the conditions that no statement is about."""
+        return tuple(name.removesuffix(_CHECK) for i, name in enumerate(self.conditions) if i not in self.stated)
 
     @cached_property
     def counts(self) -> tuple[int, ...]:
@@ -117,10 +123,16 @@ def findings(ordering: Ordering) -> Iterator[str]:
             first.setdefault(" and ".join(best) or "no method", []).append(ordering.conditions[i])
         said = f"{count} examples: the smallest mean is that of "
         if len(first) == 1:
-            said += f"{next(iter(first))} under every condition."
+            said += f"{next(iter(first))} under every condition"
+            said += f" but {' and '.join(ordering.checks)}, {_check(ordering)}." if ordering.checks else "."
         else:
-            said += "; ".join(f"{label} with {' and '.join(under)}" for label, under in first.items()) + "."
+            said += "; ".join(f"{label} with {' and '.join(under)}" for label, under in first.items())
+            said += f". Left out: {' and '.join(ordering.checks)}, {_check(ordering)}." if ordering.checks else "."
         yield f"{said} {_agreement(ordering, count)}"
+
+
+def _check(ordering: Ordering) -> str:
+    return "which is a check, not evidence" if len(ordering.checks) == 1 else "which are checks, not evidence"
 
 
 def _agreement(ordering: Ordering, count: int) -> str:
@@ -129,7 +141,7 @@ def _agreement(ordering: Ordering, count: int) -> str:
     if not known:
         return f"Orders of fewer than {FEWEST} methods are not compared."
     if np.isclose(min(known.values()), 1):
-        return "The order of methods is the same under all conditions."
+        return f"The order of methods is the same under {'these' if ordering.checks else 'all'} conditions."
     (i, j), least = min(known.items(), key=lambda item: item[1])
     pair = f"{ordering.conditions[i]} and {ordering.conditions[j]}"
     if len(known) == 1:

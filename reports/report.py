@@ -23,7 +23,7 @@ from reports import figures, tables
 from reports.claims import Judged, Status, compared, judge, read_claims
 from reports.colors import ERROR_COLORMAP
 from reports.common import common_times, merged_facts, merged_methods, shared_sentences
-from reports.findings import conditions, favours, findings
+from reports.findings import PER_COMPARISON, conditions, favours, findings
 from reports.folders import Gathered, Sheet, gather
 from reports.heads import HeadPages, render_heads
 from reports.limits import limits
@@ -154,7 +154,9 @@ def _chapter(group: Sequence[StudyResults], work: Path, number: int, progress: C
     if len(group) > 1 and several_counts:
         figures.condition_effect(group, names, work / effect)
     studies = [_study(study, work, f"study{number}-{i}", progress) for i, study in enumerate(group)]
-    shared = shared_sentences([study["findings"] for study in studies])
+    general = [PER_COMPARISON]  # said of the claims of the others, a condition without claims needs not say it
+    said = [study["findings"] + general * results.sanity for study, results in zip(studies, group, strict=True)]
+    shared = shared_sentences(said)
     times = common_times(group)
     return {
         "name": str(facts["study"]),

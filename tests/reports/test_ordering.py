@@ -75,9 +75,14 @@ def test_no_statement_is_made_of_a_truth_that_a_method_owns(study: StudyResults,
     ordering = Ordering([owned, under(study, "one", means), under(study, "two", means)])
     assert ordering.conditions == ("truth additive (sanity)", "truth one", "truth two")
     assert overview(ordering)["findings"] == [
-        "5 examples: the smallest mean is that of delta under every condition. "
-        "The order of methods is the same under all conditions."
+        "5 examples: the smallest mean is that of delta under every condition but truth additive, which is a check, "
+        "not evidence. The order of methods is the same under these conditions."
     ]
+    swapped = under(study, "two", means | {"plbs": 0.5})
+    assert (
+        "plbs with truth two. Left out: truth additive, which is a check, not evidence. The orders differ"
+        in (overview(Ordering([under(study, "one", means), swapped, owned]))["findings"][0])
+    )
     ordering_plot(ordering, tmp_path / "plot.svg")
     assert "<!-- exact -->" in (tmp_path / "plot.svg").read_text()  # rounding takes no decades of the axis
 
