@@ -14,9 +14,10 @@ from joblib import Parallel, delayed
 from reports.camera import Camera, look
 from reports.load import FigureCell, Frames, MethodFacts, StudyResults
 from reports.render import render_mesh, write_image
-from reports.text import number
+from reports.text import entry
 from retarget.types import FloatArray
 
+STORED = 2e-5  # mm: frames are kept in single precision, so that a smaller error is none
 SIZE = (216, 264)  # pixels of one head: 270 per inch at 20 mm
 TURN, RAISE = 24.0, 3.0  # degrees from which a head is seen
 _PARTS = {  # named parts of a result, in the order of Figs 12 and 13: label, what a displacement is added to
@@ -41,7 +42,7 @@ class Head:
 
     label: str
     image: str | None
-    caption: str = ""
+    caption: str = ""  # its mean error with the unit
 
 
 @dataclass(frozen=True)
@@ -104,8 +105,23 @@ class _Darkroom:
         )
 
 
-def render_heads(study: StudyResults, folder: Path, prefix: str, expressions: int = 4) -> HeadPages | None:
+def error_limit(studies: Sequence[StudyResults]) -> float:
+    """Upper end in mm of the one scale on which errors of studies are coloured; 1 without any error.
+
+    It is where the middle one of all kept cells that a method made, and that are not exact, has its worst three
+    hundredths: better ones still show colour, and the worst may saturate.
+    """
+    made = [cell for study in studies for cell in study.figure_cells if cell.method in study.tested]
+    large = [float(np.nanquantile(_errors(cell), 0.97)) for cell in made]
+    return nice(float(np.median(shown))) if (shown := [value for value in large if value > STORED]) else 1.0
+
+
+def render_heads(
+    study: StudyResults, folder: Path, prefix: str, expressions: int = 4, limit: float | None = None
+) -> HeadPages | None:
     """Render a study's figure cells into folder; None if it kept no frames.
+
+    limit: upper end of the colours in mm, for conditions of one another the same; by default the study's own.
 
     The pages show the first pair with frames at the smallest and the largest example count, and the `expressions`
     that move the truth most; `worst` shows the single worst expression of each method among all figure cells.
@@ -115,9 +131,7 @@ def render_heads(study: StudyResults, folder: Path, prefix: str, expressions: in
         return None
     counts = sorted({c.n_examples for c in cells})
     first = next((c for c in cells if c.method == study.facts["reference"]), cells[0])
-    large = [float(np.nanquantile(_errors(c), 0.97)) for c in cells if c.method != "neutral"]
-    # the worst results may saturate, so that others show
-    limit = nice(float(np.quantile(large, 0.8))) if large else 1.0
+    limit = error_limit([study]) if limit is None else limit
     darkroom = _Darkroom(folder, prefix, limit)
     shown = [m for m in study.methods if m.name != "neutral"]
     kept = tuple(dict.fromkeys((counts[0], counts[-1])))
@@ -156,7 +170,7 @@ def _peer_page(
             skin = rebuilt.parts[_SOURCE_PART][t]
             missed = frames.distance(skin, frames.source[t])
             image = room.order(skin, frames, camera, SIZE, missed)
-            heads.append(Head("source rebuilt", image, number(float(np.nanmean(missed)), 2)))
+            heads.append(Head("source rebuilt", image, _said(missed)))
         for m in chosen:
             if m.name not in shown:
                 heads.append(Head(m.label, None, "no result"))
@@ -165,7 +179,7 @@ def _peer_page(
             if m.name == "adt" and "anacondar" in shown:
                 apart = frames.distance(mine.retargeted[t], shown["anacondar"].frames.retargeted[t])
             image = room.order(mine.retargeted[t], frames, camera, SIZE, apart)
-            heads.append(Head(m.label, image, number(float(np.nanmean(mine.error(t))), 2)))
+            heads.append(Head(m.label, image, _said(mine.error(t))))
         heads.append(Head(f"truth {first.target}", room.order(frames.truth[t], frames, camera, SIZE, None)))
         rows.append(HeadRow(frames.expressions[t], tuple(heads)))
     yield HeadPage(first.source, first.target, count, first.draw, tuple(rows))
@@ -195,7 +209,7 @@ def _page(
             mine = shown[m.name].frames
             error = mine.error(t)
             image = room.order(mine.retargeted[t], mine, camera, SIZE, error)
-            heads.append(Head(m.label, image, number(float(np.nanmean(error)), 2)))
+            heads.append(Head(m.label, image, _said(error)))
         rows.append(HeadRow(frames.expressions[t], tuple(heads)))
     return HeadPage(first.source, first.target, count, first.draw, tuple(rows))
 
@@ -218,10 +232,10 @@ def _part_pages(study: StudyResults, room: _Darkroom, first: FigureCell, express
                 shown = frames.parts[part] + (getattr(frames, base) if base else 0.0)
                 error = frames.error(t, shown) if part in _COMPARED else None
                 image = room.order(shown[t], frames, camera, SIZE, error)
-                heads.append(Head(label, image, "" if error is None else number(float(np.nanmean(error)), 2)))
+                heads.append(Head(label, image, "" if error is None else _said(error)))
             error = frames.error(t)
             image = room.order(frames.retargeted[t], frames, camera, SIZE, error)
-            heads.append(Head("result", image, number(float(np.nanmean(error)), 2)))
+            heads.append(Head("result", image, _said(error)))
             heads.append(Head("truth", room.order(frames.truth[t], frames, camera, SIZE, None)))
             rows.append(HeadRow(frames.expressions[t], tuple(heads)))
         yield HeadPage(cell.source, cell.target, cell.n_examples, cell.draw, tuple(rows))
@@ -243,11 +257,17 @@ def _worst(study: StudyResults, room: _Darkroom, cells: Sequence[FigureCell]) ->
             Head(
                 "error",
                 room.order(frames.retargeted[t], frames, camera, SIZE, error),
-                number(float(np.nanmean(error)), 2),
+                _said(error),
             ),
         )
         title = f"{m.label}: {frames.expressions[t]}, {cell.source} to {cell.target}, {cell.n_examples} examples"
         yield HeadRow(title, heads)
+
+
+def _said(error: FloatArray) -> str:
+    """The mean of an error (n,) mm with NaN where nothing is measured, as printed below a head."""
+    mean = float(np.nanmean(error))
+    return "exact" if mean <= STORED else f"{entry(mean, 2)} mm"
 
 
 def _mean(cell: FigureCell, frame: int) -> float:

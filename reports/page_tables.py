@@ -124,9 +124,12 @@ def tests_table(rows: Sequence[Content], adjusted: str, caption: str) -> str:
     heads = ("ratio", "95 % interval", "effect", "wins", "p", adjusted, "p sources", "p targets", "p naive")
     columns = [Column("method", words=True), Column("examples"), Column("pairs")]
     columns += [Column(name, words=name == "95 % interval") for name in heads]
-    classes = {"adjusted": "best", "p_naive": "muted"}
+
+    def classes(row: Content, key: str) -> str:
+        return "muted" if key == "p_naive" else "best" if key == "adjusted" and row["strong"] else ""
+
     body = (
-        [r["label"], str(r["count"]), str(r["pairs"]), *(Cell(r[key], classes=classes.get(key, "")) for key in _TESTED)]
+        [r["label"], str(r["count"]), str(r["pairs"]), *(Cell(r[key], classes=classes(r, key)) for key in _TESTED)]
         for r in rows
     )
     return table(columns, body, caption)
@@ -136,7 +139,7 @@ def measures_table(rows: Sequence[Content], reference: str, caption: str) -> str
     heads = ("examples", "measure", "mean", reference, "ratio", "95 % interval", "wins", "p")
     columns = [Column("row", words=True), *(Column(h, words=h in ("measure", "95 % interval")) for h in heads)]
     body = (
-        [r["label"], str(r["count"]), r["measure"], r["mean"], r["reference"], Cell(r["ratio"], classes="best"),
+        [r["label"], str(r["count"]), r["measure"], r["mean"], r["reference"], r["ratio"],
          r["interval"], r["wins"], r["p"] if r["pairs"] else r["adjusted"]]
         for r in rows
     )  # fmt: skip
@@ -148,7 +151,7 @@ def correspondence_table(rows: Sequence[Content], caption: str) -> str:
     columns = [Column("method", words=True)]
     columns += [Column(h, words=h in ("correspondence", "95 % interval")) for h in heads]
     body = (
-        [r["method"], str(r["count"]), r["label"], Cell(r["ratio"], classes="best"), r["interval"], r["wins"],
+        [r["method"], str(r["count"]), r["label"], r["ratio"], r["interval"], r["wins"],
          r["p"] if r["pairs"] else r["adjusted"]]
         for r in rows
     )  # fmt: skip
@@ -158,12 +161,12 @@ def correspondence_table(rows: Sequence[Content], caption: str) -> str:
 def times_table(counts: Sequence[int], rows: Sequence[Content], caption: str) -> str:
     columns = [Column("method", words=True), Column("set-up per pair")]
     columns += [Column(f"fit, {n} examples") for n in counts]
-    columns += [Column("per expression"), Column("memory, MB")]
+    columns += [Column("per expression")]
 
     def cell(q: Content) -> Cell:
         return Cell(q["median"], q["range"])
 
-    body = ([r["label"], cell(r["prepare"]), *map(cell, r["fit"]), cell(r["frame"]), r["memory"]] for r in rows)
+    body = ([r["label"], cell(r["prepare"]), *map(cell, r["fit"]), cell(r["frame"])] for r in rows)
     return table(columns, body, caption)
 
 

@@ -20,12 +20,13 @@ import typst
 from matplotlib.colors import to_hex
 
 from reports import figures, tables
-from reports.claims import Judged, Status, compared, judge, read_claims
+from reports.claims import Judged, Status, compared, family, judge, read_claims
 from reports.colors import ERROR_COLORMAP
 from reports.common import common_times, merged_facts, merged_methods, shared_sentences
 from reports.findings import PER_COMPARISON, conditions, favours, findings
 from reports.folders import Gathered, Sheet, gather
-from reports.heads import HeadPages, render_heads
+from reports.glossary import merged_glossary
+from reports.heads import HeadPages, error_limit, render_heads
 from reports.limits import limits
 from reports.load import StudyResults
 from reports.method_pages import patch_figure
@@ -101,6 +102,7 @@ def describe(gathered: Gathered, work: Path, progress: Callable[[str], None]) ->
         "protocol": merged_facts([(name, _protocol(study)) for name, study in named]),
         "facts": merged_facts([(name, _facts(study)) for name, study in named]),
         "measured": _measured(studies),
+        "glossary": merged_glossary(studies),
         "replicates": REPLICATES,
         "colors": [to_hex(ERROR_COLORMAP(x)) for x in np.linspace(0, 1, 11)],
     }
@@ -153,7 +155,8 @@ def _chapter(group: Sequence[StudyResults], work: Path, number: int, progress: C
     several_counts = len({count for study in group for count in study.facts["n_examples"]}) > 1
     if len(group) > 1 and several_counts:
         figures.condition_effect(group, names, work / effect)
-    studies = [_study(study, work, f"study{number}-{i}", progress) for i, study in enumerate(group)]
+    limit = error_limit(group)
+    studies = [_study(study, work, f"study{number}-{i}", limit, progress) for i, study in enumerate(group)]
     general = [PER_COMPARISON]  # said of the claims of the others, a condition without claims needs not say it
     said = [study["findings"] + general * results.sanity for study, results in zip(studies, group, strict=True)]
     shared = shared_sentences(said)
@@ -167,6 +170,8 @@ def _chapter(group: Sequence[StudyResults], work: Path, number: int, progress: C
         "correspondences": tables.correspondence_rows(group, seed),
         "shared": shared,
         "times": times,
+        "memory": tables.memory(group),
+        "glossary": merged_glossary(group),
         "studies": [
             study | {"name": name, "own": [said for said in study["findings"] if said not in shared]}
             for name, study in zip(names, studies, strict=True)
@@ -192,10 +197,12 @@ def _sheet(sheet: Sheet, work: Path, number: int) -> dict[str, Any]:
 def _claims(gathered: Gathered) -> dict[str, Any]:
     """Published claims with what each study says of them; those without any value apart."""
     named = {name or str(study.facts["study"]): study for name, study in _named(gathered) if not study.sanity}
-    judged = judge(read_claims(), named, gathered.tables)
+    known = read_claims()
+    judged = judge(known, named, gathered.tables)
     return {
         "several": len(named) > 1,
         "studies": list(dict.fromkeys(v.study for j in judged for v in j.verdicts if v.study)),
+        "family": family(known),
         "reasons": _reasons(judged),
         "rows": list(_claim_rows(judged)),
         "counts": {status.value: sum(j.status == status for j in judged) for status in Status},
@@ -269,7 +276,9 @@ def typeset(
     return cast(bytes | list[bytes], compiled)
 
 
-def _study(study: StudyResults, work: Path, prefix: str, progress: Callable[[str], None]) -> dict[str, Any]:
+def _study(
+    study: StudyResults, work: Path, prefix: str, limit: float, progress: Callable[[str], None]
+) -> dict[str, Any]:
     facts = study.facts
     metric, region = facts["primary_metric"], facts["primary_region"]
     seed = int(facts["provenance"]["seed"])
@@ -285,8 +294,8 @@ def _study(study: StudyResults, work: Path, prefix: str, progress: Callable[[str
     if len(everyone):
         figures.ratio_plot(study, everyone, work / f"{prefix}-ratio.svg")
     progress("rendering heads")
-    heads = render_heads(study, work, prefix)
-    different = _different_regions(study)
+    heads = render_heads(study, work, prefix, limit=limit)
+    different = _different_regions(study) if tables.may_claim(study) else {}
     regions = []
     for count in facts["n_examples"]:
         names, body = tables.region_rows(study, count, different.get(count, set()))
@@ -321,9 +330,11 @@ def _study(study: StudyResults, work: Path, prefix: str, progress: Callable[[str
         "regions": regions,
         "heads": _heads(heads),
         "tests": tables.test_rows(study, primary.assign(adjusted=primary["p_holm"])),
+        "may_claim": tables.may_claim(study),
         "family": {"run": int((primary["n_pairs"] > 0).sum()), "declared": len(family) * len(facts["n_examples"])},
         "secondary": tables.test_rows(study, secondary),
         "times": tables.time_rows(study),
+        "everything": tables.every_measure(study),
         "statuses": tables.status_rows(study),
         "solves": tables.solve_rows(study),
         "cells": len(study.cells),

@@ -10,17 +10,23 @@ import numpy as np
 import pandas as pd
 from matplotlib.colors import to_hex
 
+from reports.claims import FEWEST
 from reports.colors import ERROR_COLORMAP
+from reports.findings import ALPHA
 from reports.load import StudyResults
 from reports.summary import paired_tests
-from reports.text import bounds, number, p_value, seconds
+from reports.text import bounds, decimals, entry, number, p_value, rank_biserial, seconds
 
 Row = dict[str, Any]
 
 
 def summary_rows(study: StudyResults, metric: str, region: str) -> list[Row]:
-    """Methods x example counts of one measure: {label, kind, cells: [{value, interval, ratio, p, best}]}."""
+    """Methods x example counts of one measure: {label, kind, cells: [{value, interval, ratio, p, best}]}.
+
+    All means and bounds have the same decimals.
+    """
     primary = study.at(metric, region).set_index(["method", "n_examples"])
+    digits = decimals(primary["mean"])
     counts = study.facts["n_examples"]
     best = {count: _smallest(study, primary, count) for count in counts}
     rows: list[Row] = []
@@ -34,9 +40,9 @@ def summary_rows(study: StudyResults, metric: str, region: str) -> list[Row]:
             known = math.isfinite(r["mean"])
             cells.append(
                 {
-                    "value": number(r["mean"]) if known else "no result",
-                    "interval": bounds(r["ci_low"], r["ci_high"]) if known else "",
-                    "ratio": number(r["ratio"], 2) if math.isfinite(r["ratio"]) else "",
+                    "value": entry(r["mean"], digits) if known else "no result",
+                    "interval": bounds(r["ci_low"], r["ci_high"], digits, entry) if known else "",
+                    "ratio": entry(r["ratio"], 2) if math.isfinite(r["ratio"]) else "",
                     "best": method.name == best[count],
                     "failed": int(r["n_failed"]),
                 }
@@ -44,6 +50,30 @@ def summary_rows(study: StudyResults, metric: str, region: str) -> list[Row]:
         reference = method.name == study.facts["reference"]
         rows.append({"label": method.label, "kind": method.kind, "reference": reference, "cells": cells})
     return rows
+
+
+def every_measure(study: StudyResults, most: tuple[int, int] = (64, 16)) -> dict[str, Any] | None:
+    """Means of all that was measured at the largest number of examples: {count, labels, rows}; None beyond `most`.
+
+    Rows {measure, region, unit, cells} of one measure follow each other and have the same decimals. most: rows and
+    columns that fit on a page.
+    """
+    count = max(study.facts["n_examples"])
+    here = study.summary[study.summary["n_examples"] == count]
+    means = here.pivot(index=["metric", "region"], columns="method", values="mean")
+    measured = list(dict.fromkeys(zip(here["metric"], here["region"], strict=True)))
+    names = list(dict.fromkeys(metric for metric, _ in measured))
+    order = sorted(measured, key=lambda pair: names.index(pair[0]))
+    methods = [m for m in study.methods if m.name in means.columns]
+    if len(order) > most[0] or len(methods) > most[1]:
+        return None
+    rows = []
+    for metric, region in order:
+        values = means.loc[(metric, region)].reindex([m.name for m in methods])
+        digits = decimals(means.loc[metric].to_numpy().ravel(), least=1, significant=3)
+        cells = [entry(value, digits) if math.isfinite(value) else "n/a" for value in values]
+        rows.append({"measure": metric, "region": region, "unit": study.unit_of(metric), "cells": cells})
+    return {"count": count, "labels": [m.label for m in methods], "rows": rows}
 
 
 def region_rows(study: StudyResults, count: int, different: set[tuple[str, str]]) -> tuple[list[str], list[Row]]:
@@ -77,11 +107,19 @@ def _heat(value: float, top: float, strong: bool, plain: bool) -> Row:
         return {"text": "n/a", "fill": "#ffffff", "dark": False, "strong": False}
     share = 0.0 if plain else 0.62 * min(value / top, 1.0)
     fill = "#ffffff" if plain else to_hex(ERROR_COLORMAP(share))
-    return {"text": number(value), "fill": fill, "dark": share > 0.5, "strong": strong}
+    return {"text": entry(value), "fill": fill, "dark": share > 0.5, "strong": strong}
+
+
+def may_claim(study: StudyResults) -> bool:
+    """Whether a study has enough people for any difference to be claimed."""
+    return len(study.facts["identities"]) >= FEWEST
 
 
 def test_rows(study: StudyResults, tests: pd.DataFrame) -> list[Row]:
-    """Rows of `summary.paired_tests` as text, ordered by example count and the study's table."""
+    """Rows of `summary.paired_tests` as text, ordered by example count and the study's table.
+
+    `strong` says that an adjusted p is below 5 % in a study of enough people to claim anything.
+    """
     order = {m.name: i for i, m in enumerate(study.methods)}
     ordered = tests.assign(order=tests["method"].map(order)).sort_values(["n_examples", "order"], kind="stable")
     return [_test_row(study, row) for row in ordered.to_dict("records")]
@@ -89,13 +127,14 @@ def test_rows(study: StudyResults, tests: pd.DataFrame) -> list[Row]:
 
 def _test_row(study: StudyResults, r: Mapping[Any, Any]) -> Row:
     row: Row = {"count": int(r["n_examples"]), "label": study.label(r["method"]), "pairs": int(r["n_pairs"])}
+    row["strong"] = bool(r["adjusted"] < ALPHA) and may_claim(study)
     if not row["pairs"]:
         nothing = dict.fromkeys(("ratio", "interval", "effect", "wins", "p", "p_sources", "p_targets", "p_naive"), "")
         return row | nothing | {"adjusted": "no result"}
     return row | {
-        "ratio": number(r["ratio"], 2),
-        "interval": bounds(r["ratio_low"], r["ratio_high"], 2),
-        "effect": number(r["effect"], 2),
+        "ratio": entry(r["ratio"], 2),
+        "interval": bounds(r["ratio_low"], r["ratio_high"], 2, entry),
+        "effect": rank_biserial(r["effect"]),
         "wins": f"{100 * r['win_rate']:.0f} %",
         "p": p_value(r["p"]),
         "adjusted": p_value(r["adjusted"]),
@@ -113,10 +152,10 @@ def measure_rows(study: StudyResults, seed: int) -> list[Row]:
         for metric, region in study.measured(listed):
             taken = study.metrics[(study.metrics["metric"] == metric) & (study.metrics["region"] == region)]
             means = study.at(metric, region).set_index(["method", "n_examples"])["mean"]
-            unit = study.unit_of(metric)
+            unit, digits = study.unit_of(metric), decimals(means)
             tests = paired_tests(taken, reference, [method], metric, region, seed)
             for row in test_rows(study, tests.assign(adjusted=tests["p"])):
-                mine, other = (number(means.get((name, row["count"]), math.nan)) for name in (method, reference))
+                mine, other = (entry(means.get((name, row["count"]), math.nan), digits) for name in (method, reference))
                 measure = f"{metric}, {region}" + (f", {unit}" if unit != "1" else "")
                 rows.append(row | {"measure": measure, "mean": mine, "reference": other})
     return rows
@@ -159,7 +198,7 @@ def solve_rows(study: StudyResults) -> list[Row]:
 
 
 def time_rows(study: StudyResults) -> list[Row]:
-    """Median and quartiles of set-up and per-expression times: {label, prepare, fit: [per count], frame, memory}."""
+    """Median and quartiles of set-up and per-expression times: {label, prepare, fit: [per count], frame}."""
     rows: list[Row] = []
     for m in study.methods:
         if m.kind == "reference":
@@ -174,7 +213,6 @@ def time_rows(study: StudyResults) -> list[Row]:
                     _quartiles(c.loc[c["n_examples"] == count, "fit_seconds"]) for count in study.facts["n_examples"]
                 ],
                 "frame": _quartiles(c["seconds_per_expression"]),
-                "memory": number(float(c["peak_memory_mb"].to_numpy(dtype=np.float64).max(initial=0.0)), 0),
             }
         )
     return rows
@@ -185,7 +223,13 @@ def _quartiles(values: pd.Series[float]) -> Row:
     if known.empty:
         return {"median": "n/a", "range": ""}
     low, middle, high = np.quantile(known.to_numpy(dtype=np.float64), [0.25, 0.5, 0.75])
-    return {"median": seconds(middle), "range": seconds(low, high)}
+    return {"median": seconds(middle), "range": seconds(middle, low, high)}
+
+
+def memory(studies: Sequence[StudyResults]) -> str:
+    """MB of the largest process that ran cells of these studies; it ran other methods before."""
+    highest = [float(study.cells["peak_memory_mb"].max()) for study in studies]
+    return number(max(highest), 0)
 
 
 def status_rows(study: StudyResults) -> list[Row]:

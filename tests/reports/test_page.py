@@ -203,6 +203,8 @@ def test_words_from_outside_stay_words(tmp_path: Path, read: Read) -> None:
         np.savez_compressed(path, **arrays | {"expressions": np.array([f"{MARKUP}{i}" for i in range(5)])})
     cells = pd.read_parquet(folder / "cells.parquet")
     cells.assign(status="not_converged", reason=MARKUP).to_parquet(folder / "cells.parquet")
+    metrics = pd.read_parquet(folder / "metrics.parquet")
+    metrics.assign(status="not_converged").to_parquet(folder / "metrics.parquet")
     studies = load([folder])
     content = content_of(studies, tmp_path)
     verdict = {"study": MARKUP, "status": "reproduced", "value": MARKUP, "sentence": MARKUP}

@@ -17,10 +17,21 @@ from pypdf import PdfReader
 from reports import figures, heads, report
 from reports.findings import findings, supported
 from reports.folders import gather
+from reports.glossary import merged_glossary
 from reports.load import load
 from reports.report import build_report, describe, typeset
 from reports.summary import paired_tests
-from reports.tables import correspondence_rows, measure_rows, region_rows, solve_rows, summary_rows
+from reports.tables import (
+    correspondence_rows,
+    every_measure,
+    measure_rows,
+    region_rows,
+    solve_rows,
+    summary_rows,
+)
+from reports.tables import (
+    test_rows as rows_of_tests,
+)
 from retarget.check import InvalidInput
 from tests.reports.example_study import FAMILY, write_example_study
 
@@ -122,6 +133,31 @@ def test_the_same_results_give_the_same_bytes(folder: Path, tmp_path: Path) -> N
     assert len(one) < 10e6
 
 
+def test_measures_are_explained_where_the_study_says_what_they_are(folder: Path, tmp_path: Path) -> None:
+    (study,) = load([folder])
+    assert merged_glossary([study])["measures"][0] == {"name": "vertex_l2_mean", "unit": "mm", "better": "", "says": ""}
+    told = {
+        "measures": {
+            "vertex_l2_mean": {"says": "mean distance to where they should be", "better": "lower"},
+            "vertex_l2_max": {"says": "the other one", "better": "zero"},
+        },
+        "regions": {"head": "all that is seen", "nose": "never taken"},
+        "conditions": {"weights sparse": "few gestures at a time"},
+    }
+    other = replace(study, facts={**study.facts, "glossary": told})
+    made = merged_glossary([study, other])  # the words of any study that has them
+    assert [(row["says"], row["better"]) for row in made["measures"]] == [
+        ("mean distance to where they should be", "lower"),
+        ("the other one", "nearer to 0"),
+    ]
+    assert made["regions"] == [("head", "all that is seen")]
+    assert made["signed"]
+    text = " ".join(_pages(build_report([_bare(tmp_path / "told", glossary=told)])))
+    for words in ("mean distance to where they should be", "all that is seen", "few gestures at a time"):
+        assert words in text, words
+    assert "never taken" not in text
+
+
 def test_several_folders_stand_side_by_side(tmp_path: Path) -> None:
     for name, noise in (("0", 0.0), ("1", 0.3)):
         write_example_study(tmp_path / name, identities=3, draws=1, noise_mm=noise, failures=False)
@@ -197,6 +233,36 @@ def test_the_best_mean_of_a_control_is_marked(folder: Path) -> None:
         "the smallest mean error is that of plbs residual (control),"
         in findings(study, paired_tests(study.metrics, "plbs", FAMILY))[0]
     )
+
+
+def test_bold_needs_people_enough_for_a_claim(tmp_path: Path) -> None:
+    for people, bold in ((4, False), (7, True)):
+        (study,) = load([write_example_study(tmp_path / str(people), people, draws=1, failures=False)])
+        tests = paired_tests(study.metrics, "plbs", FAMILY)
+        rows = rows_of_tests(study, tests.assign(adjusted=tests["p_holm"]))
+        assert (tests["p_holm"] < 0.05).any()
+        assert any(row["strong"] for row in rows) == bold
+        (study,) = load([tmp_path / str(people)])
+        assert all(row["strong"] for row in rows_of_tests(study, tests.assign(adjusted=0.01))) == bold
+        assert not any(row["strong"] for row in rows_of_tests(study, tests.assign(adjusted=0.06)))
+
+
+def test_every_measure_is_printed_once_where_it_fits(folder: Path) -> None:
+    (study,) = load([folder])
+    table = every_measure(study)
+    assert table is not None
+    assert table["count"] == 30
+    assert [(row["measure"], row["region"]) for row in table["rows"]] == [
+        (metric, region)
+        for metric in ("vertex_l2_mean", "vertex_l2_max")
+        for region in ("head", "lips", "brows", "jaw_skin")
+    ]
+    mean = study.at("vertex_l2_max", "lips").set_index(["method", "n_examples"]).loc[("delta", 30), "mean"]
+    row = next(row for row in table["rows"] if (row["measure"], row["region"]) == ("vertex_l2_max", "lips"))
+    assert float(row["cells"][table["labels"].index("delta")]) == pytest.approx(mean, abs=5e-3)
+    assert "n/a" in row["cells"]  # what served no pair
+    assert every_measure(study, (7, 16)) is None
+    assert every_measure(study, (64, 3)) is None
 
 
 def test_no_mean_of_a_signed_measure_is_the_best(folder: Path) -> None:
@@ -319,7 +385,7 @@ def test_the_parts_of_a_method_get_pages(tmp_path: Path) -> None:
     assert [page.n_examples for page in pages.parts] == [5, 15, 30]
     shown = pages.parts[0].rows[0].heads
     assert [head.label for head in shown] == ["source", "patchwise blendshapes", "missing, target", "result", "truth"]
-    assert [head.caption for head in shown[:3]] == ["", "1.73", ""]
+    assert [head.caption for head in shown[:3]] == ["", "1.73 mm", ""]
     assert all((tmp_path / str(head.image)).exists() for head in shown)
     assert "Parts of plbs residual: 5 examples" in " ".join(_pages(build_report([folder])))
 

@@ -56,7 +56,7 @@ def test_numbers() -> None:
         "0.500", "0.031", "0.00098", "< 0.0001", "not testable"
     ]  # fmt: skip
     assert [seconds(s) for s in (0.0021, 2.0, 4e-5, nan)] == ["2.1 ms", "2 s", "40 µs", "n/a"]
-    assert seconds(0.9, 1.2) == "0.9 – 1.2 s"
+    assert seconds(0.556, 0.419, 2.07) == "419 – 2070"  # in the unit of the first
     assert seconds(4000) == "4000 s"
     assert estimate(1, 0.5, 2) == "1.000 [0.500, 2.000]"
     assert [estimate(nan, 1, 2), estimate(1, nan, nan)] == ["no result", "1.000 [–]"]
