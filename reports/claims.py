@@ -2,6 +2,8 @@
 
 A claim about two methods is decided as a study's own statements are (`findings.supported`): the test on pairs with
 Holm's correction over all such claims, the tests on sources and on targets, and the bootstrap interval have to agree.
+That two methods are alike is decided by the interval alone: inside the margin, outside, or, where it overlaps a bound,
+neither.
 """
 
 from __future__ import annotations
@@ -37,6 +39,7 @@ _CELL = ["source", "target", "draw"]
 class Status(StrEnum):
     REPRODUCED = "reproduced"
     NOT_REPRODUCED = "not reproduced"
+    INCONCLUSIVE = "inconclusive"  # of a claim that two are alike: neither shown nor refuted
     NOT_TESTABLE = "not testable"
 
 
@@ -85,11 +88,15 @@ class Judged:
 
     @property
     def status(self) -> Status:
-        """Reproduced where every study that can test it reproduces it; not testable where none can."""
+        """Reproduced where every study that can test it reproduces it; not testable where none can.
+
+        Otherwise not reproduced where one does not, and inconclusive where some leave it open.
+        """
         found = {verdict.status for verdict in self.verdicts} - {Status.NOT_TESTABLE}
-        if not found:
-            return Status.NOT_TESTABLE
-        return Status.REPRODUCED if found == {Status.REPRODUCED} else Status.NOT_REPRODUCED
+        return next(
+            (status for status in (Status.NOT_REPRODUCED, Status.INCONCLUSIVE, Status.REPRODUCED) if status in found),
+            Status.NOT_TESTABLE,
+        )
 
 
 def read_claims(path: Path = CLAIMS) -> tuple[Claim, ...]:
@@ -133,6 +140,11 @@ def compared(claim: Claim) -> str:
     return f"{name} of {claim.method} / of {claim.other}"
 
 
+def family(claims: Sequence[Claim]) -> int:
+    """The claims of a difference: Holm's correction counts all of them, tested or not."""
+    return sum(claim.rule in COMPARED for claim in claims)
+
+
 def judge(
     claims: Sequence[Claim],
     studies: Mapping[str, StudyResults],
@@ -163,11 +175,10 @@ def _of_study(claims: Sequence[Claim], name: str, study: StudyResults) -> Iterat
     seed = int(study.facts["provenance"]["seed"])
     tested = {i: _test(claim, study, seed) for i, claim in enumerate(claims) if claim.rule in (*COMPARED, "alike")}
     tests = {i: row for i, row in tested.items() if row is not None}
-    family = [i for i in tests if claims[i].rule in COMPARED]
-    declared = sum(claim.rule in COMPARED for claim in claims)
-    corrected = dict(zip(family, holm([tests[i]["p"] for i in family], declared), strict=True))
+    run, declared = [i for i in tests if claims[i].rule in COMPARED], family(claims)
+    corrected = dict(zip(run, holm([tests[i]["p"] for i in run], declared), strict=True))
     for i, row in tests.items():
-        yield i, _compared(claims[i], name, row | {"p_holm": corrected.get(i, math.nan)})
+        yield i, _compared(claims[i], name, row | {"p_holm": corrected.get(i, math.nan), "family": declared})
 
 
 def _test(claim: Claim, study: StudyResults, seed: int) -> dict[str, Any] | None:
@@ -233,12 +244,13 @@ def _compared(claim: Claim, name: str, row: Mapping[str, Any]) -> Verdict:
     wanted = row["ratio"] > 1 if claim.rule == "fades" else row["ratio"] < 1
     agreed = supported(pd.Series({key: row[key] for key in _SUPPORT}))
     p = p_value(row["p_holm"])
-    p = f"p {p if p.startswith('<') else f'= {p}'}"
+    p = p if p.startswith("<") else f"= {p}"
     status = Status.REPRODUCED if agreed and wanted else Status.NOT_REPRODUCED
     said, brief = "No difference that all analyses support", "no difference"
     if agreed:
         said, brief = ("All analyses agree", "agree") if wanted else ("All analyses agree on the opposite", "opposite")
-    return Verdict(name, status, value, f"{said} ({size}, {p}).", f"{brief}, {p}")
+    sentence = f"{said} ({size}; p {p}, Holm over the {row['family']} claims of a difference)."
+    return Verdict(name, status, value, sentence, f"{brief}, p (claims) {p}")
 
 
 _SUPPORT = ["p_holm", "p_sources", "p_targets", "ratio", "ratio_low", "ratio_high", "effect"]
@@ -246,11 +258,14 @@ _SUPPORT = ["p_holm", "p_sources", "p_targets", "ratio", "ratio_low", "ratio_hig
 
 def _alike(claim: Claim, name: str, row: Mapping[str, Any], value: str, size: str) -> Verdict:
     low, high = 1 / (1 + claim.margin), 1 + claim.margin
-    inside = low <= row["ratio_low"] and row["ratio_high"] <= high
-    said = f"The interval {'lies' if inside else 'does not lie'} within {number(low, 2)} to {number(high, 2)} ({size})."
-    status = Status.REPRODUCED if inside else Status.NOT_REPRODUCED
-    brief = f"{'within' if inside else 'beyond'} {number(low, 2)} to {number(high, 2)}"
-    return Verdict(name, status, value, said, brief)
+    band = f"{number(low, 2)} to {number(high, 2)}"
+    if low <= row["ratio_low"] and row["ratio_high"] <= high:
+        status, said, brief = Status.REPRODUCED, "lies inside", "inside"
+    elif row["ratio_high"] < low or high < row["ratio_low"]:
+        status, said, brief = Status.NOT_REPRODUCED, "lies outside", "outside"
+    else:
+        status, said, brief = Status.INCONCLUSIVE, "overlaps a bound of", "overlaps a bound of"
+    return Verdict(name, status, value, f"The interval {said} {band} ({size}).", f"{brief} {band}")
 
 
 def _limited(claim: Claim, name: str, table: pd.DataFrame) -> Verdict:

@@ -239,7 +239,7 @@ def _tests(study: Mapping[str, Any]) -> str:
         )
         if family["run"] < family["declared"]:
             caption += f" Family incomplete: {family['run']} of {family['declared']} tests."
-        primary = tables.tests_table(study["tests"], "p Holm", caption)
+        primary = tables.tests_table(study["tests"], "p Holm, primary", caption)
     caption = "Methods outside the primary family, with Benjamini-Hochberg's correction; no claim rests on them."
     secondary = tables.tests_table(study["secondary"], "q BH", caption) if study["secondary"] else ""
     return (

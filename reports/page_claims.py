@@ -10,7 +10,7 @@ from reports.page_lists import named_list
 from reports.page_tables import Cell, Column, table
 
 Claim = Mapping[str, Any]
-_CLASSES = {"reproduced": "good", "not reproduced": "alarm", "not testable": "muted"}
+_CLASSES = {"reproduced": "good", "not reproduced": "alarm", "inconclusive": "", "not testable": "muted"}
 
 
 def claims_part(claims: Mapping[str, Any]) -> str:
@@ -19,9 +19,11 @@ def claims_part(claims: Mapping[str, Any]) -> str:
     said = (
         "Claims of Wagner, Schwanecke and Botsch 2024, each with a rule that was written down before it was tested. "
         f"Of {sum(claims['counts'].values())} claims, by the records of this page: {counts}. A difference counts as "
-        "found where the test on pairs (Holm's correction over all such claims), the tests on sources and on targets "
-        "and the bootstrap interval agree, which takes at least 6 people; a claim is reproduced where every study that "
-        "can test it finds it."
+        f"found where the test on pairs (Holm's correction over the {claims['family']} claims of a difference, a "
+        "family of their own beside the primary family of the tests), the tests on sources and on targets and the "
+        "bootstrap interval agree, which takes at least 6 people. That two methods hardly differ is reproduced where "
+        "the interval of the ratio lies inside the margin, not where it lies outside, and is inconclusive where it "
+        "overlaps a bound. A claim is reproduced where every study that can test it finds it."
     )
     shown = _table(claims["shown"], claims["several"]) if claims["shown"] else ""
     return f"<p class='muted'>{escape(said)}</p>{shown}{_untested(claims['untested'])}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -45,9 +46,11 @@ def _one(claim: Claim, study: StudyResults) -> Judged:
         (SMALLER, {}, Status.NOT_REPRODUCED, "No difference"),
         (FADES, {("plbs", 5): 0.5, ("plbs", 30): 0.9}, Status.REPRODUCED, "All analyses agree"),
         (FADES, {("plbs", 5): 0.9, ("plbs", 30): 0.5}, Status.NOT_REPRODUCED, "on the opposite"),
-        (ALIKE, {("plbs", 5): 1.1}, Status.REPRODUCED, "The interval lies within 0.83 to 1.20"),
-        (ALIKE, {("plbs", 5): 1.5}, Status.NOT_REPRODUCED, "does not lie"),
-        (ALIKE, {("plbs", 5): 0.5}, Status.NOT_REPRODUCED, "does not lie"),
+        (ALIKE, {("plbs", 5): 1.1}, Status.REPRODUCED, "The interval lies inside 0.83 to 1.20"),
+        (ALIKE, {("plbs", 5): 1.2}, Status.INCONCLUSIVE, "The interval overlaps a bound of 0.83 to 1.20"),
+        (ALIKE, {("plbs", 5): 1 / 1.2}, Status.INCONCLUSIVE, "overlaps a bound"),
+        (ALIKE, {("plbs", 5): 1.5}, Status.NOT_REPRODUCED, "lies outside"),
+        (ALIKE, {("plbs", 5): 0.5}, Status.NOT_REPRODUCED, "lies outside"),
     ],
 )
 def test_a_rule_decides_both_ways(
@@ -88,6 +91,20 @@ def test_one_study_that_does_not_find_it_is_enough(study: StudyResults) -> None:
     yes, no, few = _with(study, {("plbs", 5): 0.5}), _with(study, {}), _with(study, {}, identities=4)
     assert judge([SMALLER], {"a": yes, "b": few})[0].status == Status.REPRODUCED
     assert judge([SMALLER], {"a": yes, "b": no})[0].status == Status.NOT_REPRODUCED
+
+
+def test_what_one_study_leaves_open_is_inconclusive_unless_another_refutes_it(study: StudyResults) -> None:
+    alike, open_, other = (_with(study, {("plbs", 5): factor}) for factor in (1.0, 1.2, 1.5))
+    assert judge([ALIKE], {"a": alike, "b": open_})[0].status == Status.INCONCLUSIVE
+    assert judge([ALIKE], {"a": alike, "b": open_, "c": other})[0].status == Status.NOT_REPRODUCED
+
+
+def test_the_family_of_a_corrected_p_is_named(study: StudyResults) -> None:
+    """Three claims of a difference, of which one is of methods that no study has, and one of likeness."""
+    found = judge([SMALLER, FADES, replace(SMALLER, other="gone"), ALIKE], {"study": _with(study, {("plbs", 5): 0.5})})
+    verdict = found[0].verdicts[0]
+    assert "Holm over the 3 claims of a difference" in verdict.sentence
+    assert verdict.brief.startswith("agree, p (claims) < 0.0001")
 
 
 @pytest.mark.parametrize(
