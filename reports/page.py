@@ -186,14 +186,16 @@ def _sections(study: Mapping[str, Any], work: Path, box: str) -> Iterator[tuple[
         + (f"<p><em>{escape(study['favours'])}</em></p>" if study["favours"] else ""),
     )
     pairs = " or ".join(map(str, study["pairs"]))
+    related = any(cell["ratio"] for row in study["summary"] for cell in row["cells"])
+    ratios = f", and the geometric-mean ratio to {reference}" if related else ""
     yield (
         "Errors",
         tables.summary_table(
             counts,
             study["summary"],
-            f"{_measure(study)}: mean over {pairs or 'no'} ordered pairs with its nominal 95 % interval, and the "
-            f"geometric-mean ratio to {reference}. Bold: smallest mean of a method or control. A mean covers only "
-            "cells that all compared methods finished; how many of its own cells have no result stands after it.",
+            f"{_measure(study)}: mean over {pairs or 'no'} ordered pairs with its nominal 95 % interval{ratios}. Bold: "
+            "smallest mean of a method or control. A mean covers only cells that all compared methods finished; how "
+            "many of its own cells have no result stands after it.",
         )
         + box
         + (_plot(work / study["examples"], _EXAMPLES) if study["examples"] else ""),

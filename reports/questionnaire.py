@@ -186,6 +186,8 @@ def questionnaire(study: StudyResults, design: Design) -> Questionnaire:
         if c.method in design.methods and c.n_examples in counts
     }
     instances = {count: list(_instances(kept, design.methods, count)) for count in counts}
+    if not any(instances.values()):
+        raise _no_frames(study, design)
     asked, drawn, rng = _fitting(instances, study, design)
     lettered = _letters(design.methods, len(drawn), rng)
     order = rng.permutation(len(drawn))
@@ -310,20 +312,30 @@ def _pairs(study: StudyResults) -> int:
     return identities * (identities - 1)
 
 
+def _no_frames(study: StudyResults, design: Design) -> InvalidInput:
+    kept = [name for name in design.methods if any(cell.method == name for cell in study.figure_cells)]
+    had = f"only those of {', '.join(kept)}, or of other pairs and draws" if kept else "none of them"
+    return InvalidInput(
+        f"questionnaire: expected frames of {', '.join(design.methods)}, which the pictures are made of; "
+        f"{study.folder} has {had}. Run the study again with study.figures.pairs=2, or more for more items: that is of "
+        "how many pairs frames are kept. If it kept them, copy the folder with all that is in it."
+    )
+
+
 def _too_few(instances: Mapping[int, Sequence[Instance]], study: StudyResults, design: Design) -> InvalidInput:
     different = {one.performed for ones in instances.values() for one in ones}
     fewest = min(len({one.performed for one in ones}) for ones in instances.values())
     wanted = (design.items or 1) * (len(instances) if design.distinct else 1)
     pairs = _pairs(study)
-    shape = f"{len({d[:2] for d in different})} of {pairs} pairs"
+    shape = f"{len(different)} expressions of {len({d[:2] for d in different})} of {pairs} pairs"
     sparser = ", or 'questionnaire.distinct=false' to ask about an expression once for each count"
     return InvalidInput(
         f"questionnaire: expected {design.items} expressions for each of {_listed(sorted(instances))} examples, "
         f"{wanted} different ones{'' if design.distinct else ' at each count'}, of which the frames of all of "
-        f"{', '.join(design.methods)} were kept; {study.folder} has {len(different)} of {shape}, at the leanest count "
-        f"{fewest}. Keep more frames: run the study again with study.figures.pairs={pairs} "
-        f"(and study.figures.draws=2), cells whose frames were kept are used again. Or ask less: "
-        f"questionnaire.items=N{sparser if design.distinct else ''}."
+        f"{', '.join(design.methods)} were kept; {study.folder} has {shape}, and "
+        f"{fewest} at the number of examples with the fewest. Keep more frames: run the study again with "
+        f"study.figures.pairs={pairs} (and study.figures.draws=2), cells whose frames were kept are used again. "
+        f"Or ask less: questionnaire.items=N{sparser if design.distinct else ''}."
     )
 
 

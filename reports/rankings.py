@@ -170,7 +170,9 @@ def _rows(name: str, content: bytes, delimiter: str) -> Iterator[tuple[int, list
         text = content.decode(encoding)
     except UnicodeDecodeError as error:
         row = content[: error.start].count(b"\n") + 1
-        raise InvalidInput(f"{name}, row {row}: the text is not UTF-8; save the table as 'CSV UTF-8'.") from error
+        raise InvalidInput(
+            f"{name}, row {row}: the text is neither UTF-8 nor UTF-16; save the table as 'CSV UTF-8'."
+        ) from error
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
     while True:
         try:

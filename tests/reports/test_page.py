@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import copy
 import json
 import re
 from pathlib import Path
@@ -52,6 +53,19 @@ def work(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def content(studies: tuple[StudyResults, ...], work: Path) -> dict[str, Any]:
     return content_of(studies, work)
+
+
+def test_no_ratio_is_announced_where_there_is_none(
+    content: dict[str, Any], studies: tuple[StudyResults, ...], work: Path
+) -> None:
+    """As where the reference has no result."""
+    said = "and the geometric-mean ratio to plbs"
+    assert said in page(content, studies, work)
+    bare = copy.deepcopy(content)
+    for row in bare["studies"][0]["summary"]:
+        for cell in row["cells"]:
+            cell["ratio"] = ""
+    assert said not in page(bare, studies, work)
 
 
 @pytest.fixture(scope="module")

@@ -133,10 +133,28 @@ def test_an_expression_is_asked_about_once_where_enough_were_kept(study: StudyRe
 
 
 def test_too_few_kept_frames_are_refused_with_the_setting_that_keeps_more(study: StudyResults) -> None:
-    with pytest.raises(InvalidInput, match=r"15 different ones.* has 5 of 1 of 6 pairs.* study.figures.pairs=6"):
+    with pytest.raises(
+        InvalidInput, match=r"15 different ones.* has 5 expressions of 1 of 6 pairs, and 5 at .* study.figures.pairs=6"
+    ):
         questionnaire(study, replace(DESIGN, distinct=True))
     with pytest.raises(InvalidInput, match=r"study\.figures\.pairs"):
         questionnaire(study, replace(DESIGN, items=6))
+
+
+def test_without_any_frames_the_setting_that_keeps_them_is_named(study: StudyResults, tmp_path: Path) -> None:
+    bare = replace(study, folder=tmp_path)
+    with pytest.raises(
+        InvalidInput, match=r"has none of them\. Run the study again with study\.figures\.pairs=2"
+    ) as no:
+        questionnaire(bare, DESIGN)
+    assert "0 of" not in str(no.value)
+    some = [cell for cell in study.figure_cells if cell.method == DESIGN.methods[0]]
+    for cell in some:
+        there = tmp_path / cell.path.relative_to(study.folder)
+        there.parent.mkdir()
+        there.write_bytes(cell.path.read_bytes())
+    with pytest.raises(InvalidInput, match=f"has only those of {DESIGN.methods[0]}"):
+        questionnaire(replace(study, folder=tmp_path, differs="again"), DESIGN)
 
 
 def test_pairs_are_balanced(tmp_path: Path) -> None:

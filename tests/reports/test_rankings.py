@@ -113,7 +113,7 @@ def test_what_spreadsheets_write_is_read_alike(tmp_path: Path, text: str | bytes
         (GOOD.replace("ann,1,B,2", "ann,1,B,"), "participant 'ann', item 1: B"),
         (rows("ann 1 1 2 3/ann 2 1 2 3/ben 1 1 2 3"), "participant 'ben', item 2: A, B, C"),
         (GOOD.replace("ann,1,A,1", 'ann,1,A,"1'), "row .*: this is no CSV"),
-        (GOOD.replace("ann", "\xe4nn").encode("latin-1"), "row 2: the text is not UTF-8"),
+        (GOOD.replace("ann", "\xe4nn").encode("latin-1"), "row 2: the text is neither UTF-8 nor UTF-16"),
     ],
 )  # fmt: skip
 def test_a_file_that_is_no_ranking_is_refused_by_its_row(tmp_path: Path, text: str | bytes, said: str) -> None:
