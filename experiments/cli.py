@@ -17,7 +17,7 @@ from omegaconf import DictConfig
 from rich.console import Console
 
 from experiments.overrides import check_overrides
-from experiments.progress import print_path
+from experiments.progress import print_line, print_path
 from retarget.check import InvalidInput
 from retarget.suggest import choose
 
@@ -124,7 +124,7 @@ def report(config: DictConfig) -> None:
         output = results_folder(config) / "report.pdf"
     for folder in temporal_folders(inputs):
         print_path(build_temporal_sheet(folder), console)
-    path = build_report(inputs, output, console.print)
+    path = build_report(inputs, output, lambda line: print_line(line, console))
     for written in (path, path.with_suffix(".html")):
         print_path(written, console)
 

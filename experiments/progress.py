@@ -21,9 +21,14 @@ def duration(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
+def print_line(line: str, console: Console) -> None:
+    """A line as it is: brackets in it are no markup, and it is not broken."""
+    console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+
 def print_path(path: Path, console: Console) -> None:
-    """A path as it is: brackets in it are no markup, and it is not broken into lines."""
-    console.print(str(path), markup=False, highlight=False, soft_wrap=True)
+    """A path as it is."""
+    print_line(str(path), console)
 
 
 @contextmanager
@@ -31,7 +36,7 @@ def progress(console: Console, title: str, total: int) -> Iterator[Advance]:
     """Yields a function that is told how many more items are done."""
     if console.is_terminal:
         columns = (
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
@@ -56,7 +61,8 @@ def _plain(console: Console, title: str, total: int) -> Advance:
         if done >= total or now - printed >= PLAIN_LINES_EVERY_SECONDS:
             elapsed = now - start
             remaining = elapsed / max(done, 1) * (total - done)
-            console.print(f"{title}: {done}/{total}, {duration(elapsed)} elapsed, {duration(remaining)} remaining")
+            times = f"{duration(elapsed)} elapsed, {duration(remaining)} remaining"
+            print_line(f"{title}: {done}/{total}, {times}", console)
             printed = now
 
     return advance

@@ -45,7 +45,7 @@ def read_live_link(path: Path | str) -> Recording:
     some are negative, timecodes do not increase, or no two rows were tracked.
     """
     path = Path(path)
-    if not _is_file(path):
+    if not is_file(path):
         raise InvalidInput(f"{path}: expected a CSV file of Live Link Face, found none; check the path.")
     rows = tuple(_rows(path))
     tracked = np.array([row.values is not None for row in rows], dtype=bool)
@@ -185,7 +185,7 @@ def _rate(seconds: FloatArray, frames: FloatArray) -> int:
     return 30 if spacing < 1.5 else 60
 
 
-def _is_file(path: Path) -> bool:
+def is_file(path: Path) -> bool:
     try:
         return path.is_file()
     except (OSError, ValueError):  # a name that is too long, or that no file can have

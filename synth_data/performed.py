@@ -74,6 +74,10 @@ class PerformedConfig(DatasetConfig):
         """The seed of each identity, by name."""
         return {f"person-{seed:03d}": seed for seed in range(self.first_seed, self.first_seed + self.identities)}
 
+    def expression_names(self) -> tuple[str, ...]:
+        """The name of each expression."""
+        return tuple(f"{self.weights}-{i:03d}" for i in range(self.expressions))
+
     @threadpool_limits.wrap(limits=1)  # the same bits however many cores there are
     def load(self, progress: Progress = lambda line: None) -> PerformedDataset:
         """Synthesise people and truth. Raises InvalidInput for settings out of range, and as `troupe`."""
@@ -94,7 +98,7 @@ class PerformedConfig(DatasetConfig):
             faces=troupe.faces,
             regions=troupe.regions,
             identities=tuple(neutrals),
-            expressions=tuple(f"{self.weights}-{i:03d}" for i in range(self.expressions)),
+            expressions=self.expression_names(),
             favours=_with_recording(truth_kind(self.truth).favours, take),
             fingerprint=self._fingerprint(take),
             neutrals=neutrals,

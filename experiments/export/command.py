@@ -13,8 +13,9 @@ from omegaconf import DictConfig
 from rich.console import Console
 
 from experiments.export.retargeted import retargeted
-from experiments.export.scene import Scene, rig, truth
-from experiments.progress import Advance, print_path, progress
+from experiments.export.scene import Free, Scene, rig, truth
+from experiments.progress import Advance, print_line, print_path, progress
+from experiments.study import check_whole
 from retarget.check import InvalidInput
 from retarget.io.files import check_folder, write_whole_folder
 from retarget.io.gltf import write_glb
@@ -25,7 +26,7 @@ from retarget.suggest import choose
 FOLDER = Path("exports")  # below the current folder
 INFO = "export.json"  # what a folder of an export holds besides its meshes
 
-KINDS: dict[str, Callable[[DictConfig, Console], Scene]] = {"truth": truth, "rig": rig, "retargeted": retargeted}
+KINDS: dict[str, Callable[[DictConfig, Console, Free], Scene]] = {"truth": truth, "rig": rig, "retargeted": retargeted}
 
 
 def export(config: DictConfig, console: Console) -> Path:
@@ -36,9 +37,14 @@ def export(config: DictConfig, console: Console) -> Path:
     if config.output is not None:  # before anything that takes long
         _check_free(_output(config), config.overwrite)
     started = time.perf_counter()
-    scene = KINDS[config.what](config, console)
-    path = _output(config, scene)
-    _check_free(path, config.overwrite)
+
+    def free(stem: str, meshes: int) -> Path:
+        path = _output(config, stem, meshes)
+        _check_free(path, config.overwrite)
+        return path
+
+    scene = KINDS[config.what](config, console, free)
+    path = free(scene.stem, len(scene.meshes))
     with progress(console, f"writing {config.format}", sum(len(mesh.shapes) for mesh in scene.meshes)) as advance:
         WRITERS[config.format](path, scene, config, advance)
     first, names = scene.meshes[0], ", ".join(mesh.name for mesh in scene.meshes)
@@ -46,17 +52,25 @@ def export(config: DictConfig, console: Console) -> Path:
         f"{names}: {len(first.neutral):,} vertices, {len(first.shapes)} shapes, {len(first.times)} key frames in "
         f"{first.times[-1]:.1f} s; {_size(path) / 1e6:.1f} MB, done in {time.perf_counter() - started:.0f} s"
     )
-    console.print(line, highlight=False, soft_wrap=True)
+    print_line(line, console)
     for note in dict.fromkeys(str(mesh.about["note"]) for mesh in scene.meshes if "note" in mesh.about):
-        console.print(note, highlight=False, soft_wrap=True)
+        print_line(note, console)
     print_path(path, console)
     return path
 
 
 def _check_settings(config: DictConfig) -> None:
+    for name in ("normals", "overwrite"):
+        if not isinstance(config[name], bool):
+            raise InvalidInput(f"{name}: expected true or false, got {config[name]!r}.")
+    for name in ("output", "from"):
+        if not isinstance(config[name], str | None):
+            raise InvalidInput(f"{name}: expected a path or null, got {config[name]!r}.")
+    check_whole("most_targets", config.most_targets, 1)
     for name in ("fps", "seconds"):
         value = config[name]
-        if value is not None and not (isinstance(value, int | float) and 0 < value < np.inf):
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if value is not None and not (number and 0 < value < np.inf):
             raise InvalidInput(f"{name}: expected a positive number or null, got {value!r}.")
     if config.seconds is not None and config.take is None:
         raise InvalidInput("seconds: cuts a take, but there is none; choose expressions with frames=0:50.")
@@ -64,19 +78,18 @@ def _check_settings(config: DictConfig) -> None:
         raise InvalidInput("from: a study stores retargeted expressions; add what=retargeted and leave out the take.")
 
 
-def _output(config: DictConfig, scene: Scene | None = None) -> Path:
-    """Absolute; `scene` names it where the user does not."""
+def _output(config: DictConfig, stem: str = "", meshes: int | None = None) -> Path:
+    """Absolute; `stem` names it where the user does not."""
     if config.output is None:
-        assert scene is not None
-        single = config.format != "obj" and (config.format == "glb" or len(scene.meshes) == 1)
-        return (FOLDER / (f"{scene.stem}.{config.format}" if single else f"{scene.stem}-{config.format}")).absolute()
+        single = config.format != "obj" and (config.format == "glb" or meshes == 1)
+        return (FOLDER / (f"{stem}.{config.format}" if single else f"{stem}-{config.format}")).absolute()
     path = Path(config.output).expanduser().absolute()
     suffixes = {"glb": (".glb",), "npz": (".npz", ""), "obj": ("",)}[config.format]
     if path.suffix.lower() not in suffixes:
         expected = {"glb": "a path that ends in .glb", "npz": "a path that ends in .npz", "obj": "a folder"}
         raise InvalidInput(f"output: expected {expected[config.format]}, got {config.output}.")
-    if config.format == "npz" and scene is not None and (len(scene.meshes) == 1) != (path.suffix != ""):
-        wanted = "a folder, for a file of each identity" if len(scene.meshes) > 1 else "a path that ends in .npz"
+    if config.format == "npz" and meshes is not None and (meshes == 1) != (path.suffix != ""):
+        wanted = "a folder, for a file of each identity" if meshes > 1 else "a path that ends in .npz"
         raise InvalidInput(f"output: expected {wanted}, got {config.output}.")
     return path
 

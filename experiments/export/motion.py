@@ -15,7 +15,7 @@ from retarget.types import FloatArray, IntArray
 from synth_data.arkit import NAMES, SKIN_NAMES
 from synth_data.conversation import conversation
 from synth_data.dataset import Dataset, Rigged
-from synth_data.live_link import read_live_link
+from synth_data.live_link import is_file, read_live_link
 from synth_data.recording import Recording
 
 CONVERSATION = "conversation"  # the name of the built-in take
@@ -33,6 +33,7 @@ class Motion:
     times: FloatArray  # (t,) s
     expressions: tuple[int, ...] | None  # of the dataset; None: `weights` are performed
     weights: FloatArray | None  # (t, 52) of `synth_data.arkit.NAMES`; None: unknown, the dataset holds scans
+    recording: str | None = None  # how much of a recorded take was mended
 
     @property
     def count(self) -> int:
@@ -45,6 +46,7 @@ class Motion:
             self.times[rows],
             None if self.expressions is None else tuple(self.expressions[i] for i in rows),
             None if self.weights is None else self.weights[rows],
+            self.recording,
         )
 
     def performed(self, dataset: Dataset, identity: str) -> FloatArray:
@@ -98,14 +100,15 @@ def taken(take: str, frames: Any = None, fps: float | None = None, seconds: floa
         times, weights = times[within], weights[within]
     names = tuple(f"{recording.name}-{i:04d}" for i in range(len(times)))
     chosen = select(frames, names)
-    return Motion(tuple(names[i] for i in chosen), times[chosen] - times[chosen[0]], None, weights[chosen])
+    mended = None if take == CONVERSATION else recording.summary
+    return Motion(tuple(names[i] for i in chosen), times[chosen] - times[chosen[0]], None, weights[chosen], mended)
 
 
 def _recording(take: str, fps: float | None, seconds: float | None) -> Recording:
     if take == CONVERSATION:
         return conversation(seconds or SECONDS, fps or 30.0)
     path = Path(take).expanduser()
-    if not path.is_file():
+    if not is_file(path):
         raise InvalidInput(
             f"take: expected a CSV file of Live Link Face or '{CONVERSATION}', found no file '{take}'; check the path."
         )

@@ -14,36 +14,53 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
 from experiments.catalogue import MethodMaker
-from experiments.export.motion import one_by_one, select
-from experiments.export.scene import Scene, about_data, check_targets, chosen_motion, load_dataset
-from experiments.progress import progress
-from experiments.protocol import check_counts, draw
+from experiments.export.motion import in_turn, one_by_one, select
+from experiments.export.scene import (
+    Free,
+    Known,
+    Scene,
+    about_data,
+    check_targets,
+    chosen_count,
+    chosen_take,
+    load_dataset,
+)
+from experiments.progress import print_line, progress
+from experiments.protocol import draw
 from experiments.study import check_whole
 from reports.load import FigureCell, load
 from retarget.check import InvalidInput
 from retarget.io.morph_mesh import MorphMesh, flipbook
 from retarget.suggest import choose
 from retarget.types import Examples, FloatArray, RetargetProblem, Status
-from synth_data.dataset import Dataset
 
 AT_ONCE = 10  # frames that a method is given between two signs of progress
 
 
-def retargeted(config: DictConfig, console: Console) -> Scene:
+def retargeted(config: DictConfig, console: Console, free: Free) -> Scene:
     """Source, truth and the result of each method on one pair; examples are drawn as in a study."""
     makers = _methods(config)
     if config["from"] is not None:
-        return _stored(config, [maker.name for maker in makers])
+        return _stored(config, [maker.name for maker in makers], free)
+    for maker in makers:
+        maker()  # raises for settings that cannot be
     for name, least in (("n_examples", 0), ("draw", 0), ("seed", 0), ("test_expressions", 0)):
         check_whole(name, config[name], least)
-    dataset = load_dataset(config, console)
-    source, target = _pair(config, dataset)
-    check_counts(len(dataset.expressions), config.test_expressions, [config.n_examples])
-    motion = chosen_motion(config, dataset)
-    check_targets(motion.count, config)
+    take = chosen_take(config, console)
+
+    def check(known: Known) -> tuple[str, str, str]:
+        source, target = _pair(config, known.identities)
+        _check_examples(config, len(known.expressions))
+        check_targets(chosen_count(config, take, known), config)
+        stem = f"{'-'.join(maker.name for maker in makers)}-{source}-to-{target}"
+        free(stem, 2 + len(makers))
+        return source, target, stem
+
+    dataset, (source, target, stem) = load_dataset(config, console, check)
+    motion = take or in_turn(dataset, config.frames, config.fps)
     drawn = draw(source, target, config.draw, len(dataset.expressions), config.test_expressions, config.seed)
     examples = drawn.examples(config.n_examples)
-    console.print("  performing source and target")
+    print_line("  performing source and target", console)
     performed, truth = motion.performed(dataset, source), motion.performed(dataset, target)
     pair = dataset.scanned_pair(source, target)
     known = Examples(dataset.scanned(target, examples), dataset.scanned(source, examples))
@@ -58,20 +75,19 @@ def retargeted(config: DictConfig, console: Console) -> Scene:
     for maker in makers:
         frames, solves = _run(maker, problem, seen, console)
         meshes.append(character(maker.name, target, frames, settings=json.dumps(maker.settings), solves=solves))
-    about = about_data(config, dataset) | {
+    about = about_data(config, dataset, motion) | {
         "n_examples": config.n_examples,
         "draw": config.draw,
         "seed": config.seed,
         "examples": [dataset.expressions[i] for i in examples],
     }
-    stem = f"{'-'.join(maker.name for maker in makers)}-{source}-to-{target}"
     return Scene(stem, dataset.faces, tuple(meshes), about)
 
 
 def _run(maker: MethodMaker, problem: RetargetProblem, frames: FloatArray, console: Console) -> tuple[FloatArray, str]:
     """Retargeted frames (t, n, 3) mm, and how the solves ended."""
     method = maker.serving(problem)
-    console.print(f"  {maker.name}: set-up for the pair and {problem.examples.count} examples")
+    print_line(f"  {maker.name}: set-up for the pair and {problem.examples.count} examples", console)
     fitted = method.prepare(problem.pair).fit(problem.examples, problem.source_animation)
     out, statuses = np.empty(frames.shape), Counter[str]()
     with progress(console, maker.name, len(frames)) as advance:
@@ -85,11 +101,11 @@ def _run(maker: MethodMaker, problem: RetargetProblem, frames: FloatArray, conso
         raise InvalidInput(f"{maker.name}: the method returned NaN or infinite vertices; nothing was written.")
     solves = ", ".join(f"{count} {status}" for status, count in statuses.items())
     if set(statuses) - {str(Status.CONVERGED)}:
-        console.print(f"  {maker.name}: not all solves converged: {solves}")
+        print_line(f"  {maker.name}: not all solves converged: {solves}", console)
     return out, solves
 
 
-def _stored(config: DictConfig, methods: Sequence[str]) -> Scene:
+def _stored(config: DictConfig, methods: Sequence[str], free: Free) -> Scene:
     """Frames that a study has kept for its figures: its test expressions, on some of its pairs."""
     folder = Path(config["from"]).expanduser().absolute()
     study = load([folder])[0]
@@ -103,6 +119,9 @@ def _stored(config: DictConfig, methods: Sequence[str]) -> Scene:
     frames = first.frames
     chosen = select(config.frames, frames.expressions)
     check_targets(len(chosen), config)
+    title = str(study.facts["study"])
+    stem = f"{title}-{'-'.join(methods)}-{first.source}-to-{first.target}"
+    free(stem, 2 + len(methods))
     names, times = [frames.expressions[i] for i in chosen], one_by_one(len(chosen), config.fps)
 
     def character(name: str, identity: str, neutral: NDArray[Any], all_frames: NDArray[Any]) -> MorphMesh:
@@ -113,10 +132,8 @@ def _stored(config: DictConfig, methods: Sequence[str]) -> Scene:
         character("truth", first.target, frames.target_neutral, frames.truth),
         *(character(cell.method, first.target, frames.target_neutral, cell.frames.retargeted) for cell in cells),
     ]
-    title = str(study.facts["study"])
     conditions = {name: str(study.cells[name].iloc[0]) for name in ("dataset", "truth", "weights", "noise_mm")}
     about = {"what": config.what, "study": title, **conditions, "n_examples": first.n_examples, "draw": first.draw}
-    stem = f"{title}-{'-'.join(methods)}-{first.source}-to-{first.target}"
     return Scene(stem, frames.faces.astype(np.int64), tuple(meshes), about)
 
 
@@ -149,14 +166,27 @@ def _methods(config: DictConfig) -> list[MethodMaker]:
     return [MethodMaker(name, settings[name]) for name in settings]
 
 
-def _pair(config: DictConfig, dataset: Dataset) -> tuple[str, str]:
-    if len(dataset.identities) < 2:
+def _check_examples(config: DictConfig, expressions: int) -> None:
+    available = max(expressions - config.test_expressions, 0)
+    if config.n_examples > available:
+        mend = f"Ask for fewer, such as n_examples={available}," if available else "Hold out fewer,"
+        raise InvalidInput(
+            f"n_examples: {config.n_examples} examples asked for, but the dataset has {expressions} expressions, of "
+            f"which {config.test_expressions} are held out (test_expressions), so at most {available} are left. {mend} "
+            "or use a dataset with more expressions."
+        )
+
+
+def _pair(config: DictConfig, identities: Sequence[str]) -> tuple[str, str]:
+    if len(identities) < 2:
         raise InvalidInput("dataset.identities: expected at least 2, one performs, the other retargets.")
-    for setting in ("source", "target"):
-        if config[setting] is not None:
-            dataset.known(config[setting], setting)
-    source = config.source or next(name for name in dataset.identities if name != config.target)
-    target = config.target or next(name for name in dataset.identities if name != source)
+    chosen = {
+        setting: choose(setting, str(config[setting]), identities)
+        for setting in ("source", "target")
+        if config[setting] is not None
+    }
+    source = chosen.get("source") or next(name for name in identities if name != chosen.get("target"))
+    target = chosen.get("target") or next(name for name in identities if name != source)
     if source == target:
         raise InvalidInput(f"target: expected another identity than the source, got {target} for both.")
     return source, target

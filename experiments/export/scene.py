@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from hydra.utils import instantiate
-from omegaconf import DictConfig
+from omegaconf import DictConfig, ListConfig
 from rich.console import Console
 
-from experiments.export.motion import Motion, in_turn, rigged, taken
-from experiments.progress import progress
+from experiments.export.motion import Motion, in_turn, rigged, select, taken
+from experiments.progress import print_line, progress
 from retarget.check import InvalidInput
 from retarget.io.morph_mesh import MorphMesh, flipbook
+from retarget.suggest import choose
 from retarget.types import IntArray
 from synth_data.arkit import NAMES, SKIN_NAMES
 from synth_data.dataset import Dataset
+from synth_data.performed import PerformedConfig
 
 COMPARED = 20  # frames on which a rig is compared with its truth
 LINEAR = 1e-3  # mm by which a linear truth and its blended units may differ
@@ -33,33 +35,57 @@ class Scene:
     about: Mapping[str, Any]  # plain data
 
 
-def truth(config: DictConfig, console: Console) -> Scene:
+@dataclass(frozen=True)
+class Known:
+    """What there is to choose from; most datasets know it before anybody is made."""
+
+    truth: str
+    identities: tuple[str, ...]
+    expressions: tuple[str, ...]
+
+
+Free = Callable[[str, int], object]  # given a scene's stem and count of meshes, raises where it may not be written
+Checked = TypeVar("Checked")
+
+
+def truth(config: DictConfig, console: Console, free: Free) -> Scene:
     """Identities performing expressions or a take; each frame is a shape."""
-    dataset = load_dataset(config, console)
-    names, motion = _identities(config, dataset), chosen_motion(config, dataset)
-    check_targets(motion.count, config)
+    dataset, names, motion, stem = _chosen(config, console, free)
     meshes = []
     with progress(console, "performing", len(names)) as advance:
         for name in names:
             frames = motion.performed(dataset, name).astype(np.float32)
             meshes.append(flipbook(name, dataset.neutral(name), frames, motion.names, motion.times))
             advance(1)
-    stem = f"truth-{dataset.conditions.truth}-{_stem(names)}"
-    return Scene(stem, dataset.faces, tuple(meshes), about_data(config, dataset))
+    return Scene(stem, dataset.faces, tuple(meshes), about_data(config, dataset, motion))
 
 
-def rig(config: DictConfig, console: Console) -> Scene:
+def rig(config: DictConfig, console: Console, free: Free) -> Scene:
     """The face units of identities as shapes, animated by the weights of expressions or a take."""
-    dataset = load_dataset(config, console)
-    rigged(dataset)
-    names, motion = _identities(config, dataset), chosen_motion(config, dataset)
+    dataset, names, motion, stem = _chosen(config, console, free)
     meshes = []
     with progress(console, "performing units", len(names)) as advance:
         for name in names:
             meshes.append(_rig_of(dataset, name, motion))
             advance(1)
-    stem = f"rig-{dataset.conditions.truth}-{_stem(names)}"
-    return Scene(stem, dataset.faces, tuple(meshes), about_data(config, dataset))
+    return Scene(stem, dataset.faces, tuple(meshes), about_data(config, dataset, motion))
+
+
+def _chosen(config: DictConfig, console: Console, free: Free) -> tuple[Dataset, tuple[str, ...], Motion, str]:
+    """The dataset, who performs what, and the stem."""
+    take = chosen_take(config, console)
+
+    def check(known: Known) -> tuple[tuple[str, ...], str]:
+        names = _identities(config, known)
+        count = chosen_count(config, take, known)
+        if config.what == "truth":
+            check_targets(count, config)
+        stem = f"{config.what}-{known.truth}-{names[0] if len(names) == 1 else f'{len(names)}-identities'}"
+        free(stem, len(names))
+        return names, stem
+
+    dataset, (names, stem) = load_dataset(config, console, check)
+    return dataset, names, take or in_turn(dataset, config.frames, config.fps), stem
 
 
 def _rig_of(dataset: Dataset, name: str, motion: Motion) -> MorphMesh:
@@ -86,17 +112,31 @@ def _rig_of(dataset: Dataset, name: str, motion: Motion) -> MorphMesh:
     return replace(rig, shapes=shapes.astype(np.float32), about=about)
 
 
-def load_dataset(config: DictConfig, console: Console) -> Dataset:
-    dataset: Dataset = instantiate(config.dataset).load(lambda line: console.print(f"  {line}"))
-    return dataset
+def load_dataset(config: DictConfig, console: Console, check: Callable[[Known], Checked]) -> tuple[Dataset, Checked]:
+    """The dataset, and what `check` makes of its names: it raises before people are made, where names are known."""
+    settings = instantiate(config.dataset)
+    if isinstance(settings, PerformedConfig):
+        settings.check()
+        check(Known(settings.truth, tuple(settings.seeds()), settings.expression_names()))
+    dataset: Dataset = settings.load(lambda line: print_line(f"  {line}", console))
+    if config.what == "rig" or config.take is not None:
+        rigged(dataset)
+    return dataset, check(Known(dataset.conditions.truth, dataset.identities, dataset.expressions))
 
 
-def chosen_motion(config: DictConfig, dataset: Dataset) -> Motion:
-    """What `take`, `frames`, `seconds` and `fps` ask for."""
+def chosen_take(config: DictConfig, console: Console) -> Motion | None:
+    """What `take`, `frames`, `seconds` and `fps` ask for; None for the expressions of the dataset."""
     if config.take is None:
-        return in_turn(dataset, config.frames, config.fps)
-    rigged(dataset)
-    return taken(str(config.take), config.frames, config.fps, config.seconds)
+        return None
+    take = taken(str(config.take), config.frames, config.fps, config.seconds)
+    if take.recording is not None:
+        print_line(f"  take {take.recording}", console)
+    return take
+
+
+def chosen_count(config: DictConfig, take: Motion | None, known: Known) -> int:
+    """Frames of the take, or of the dataset's expressions. Raises InvalidInput for frames that there are not."""
+    return len(select(config.frames, known.expressions)) if take is None else take.count
 
 
 def check_targets(count: int, config: DictConfig) -> None:
@@ -110,23 +150,21 @@ def check_targets(count: int, config: DictConfig) -> None:
         )
 
 
-def about_data(config: DictConfig, dataset: Dataset) -> dict[str, Any]:
+def about_data(config: DictConfig, dataset: Dataset, motion: Motion) -> dict[str, Any]:
     """What the meshes are conditional on."""
     take = {} if config.take is None else {"take": str(config.take)}
+    if motion.recording is not None:
+        take["recording"] = motion.recording
     return {"what": config.what, **asdict(dataset.conditions), **take, "fingerprint": dataset.fingerprint}
 
 
-def _identities(config: DictConfig, dataset: Dataset) -> tuple[str, ...]:
+def _identities(config: DictConfig, known: Known) -> tuple[str, ...]:
     if config.identity is None:
-        return dataset.identities[:1]
+        return known.identities[:1]
     if config.identity == "all":
-        return dataset.identities
-    listed = [config.identity] if isinstance(config.identity, str) else list(config.identity)
-    names = tuple(dataset.known(str(name)) for name in listed)
+        return known.identities
+    listed = list(config.identity) if isinstance(config.identity, ListConfig) else [config.identity]
+    names = tuple(choose("identity", str(name), known.identities) for name in listed)
     if not names or len(set(names)) < len(names):
         raise InvalidInput(f"identity: expected one or more, each once, or all; got {listed}.")
     return names
-
-
-def _stem(names: tuple[str, ...]) -> str:
-    return names[0] if len(names) == 1 else f"{len(names)}-identities"

@@ -6,9 +6,11 @@ import io
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
+from hydra.errors import InstantiationException
 from omegaconf import OmegaConf
 from rich.console import Console
 
@@ -22,6 +24,7 @@ from synth_data.arkit import NAMES, SKIN_NAMES
 from synth_data.conversation import conversation
 from synth_data.dataset import DatasetConfig, Progress
 from synth_data.mesh_folder.dataset import MeshFolder
+from synth_data.performed import PerformedConfig, Troupe
 from tests.experiments.toy import Toy, toy
 from tests.reports.example_study import write_example_study
 from tests.retarget.io.glb import Glb
@@ -46,8 +49,10 @@ class RiggedToy(Toy):
 class Heads(DatasetConfig):
     bend: float = 0.0
     rigs: bool = True
+    line: str = "heads"
 
     def load(self, progress: Progress = lambda line: None) -> Toy:
+        progress(self.line)
         plain = toy(identities=3, expressions=12, units=len(SKIN_NAMES), subdivisions=2)
         values = {field.name: getattr(plain, field.name) for field in fields(plain)}
         return RiggedToy(**values, bend=self.bend) if self.rigs else plain
@@ -165,6 +170,18 @@ def test_nothing_is_overwritten_unasked(run: Run, tmp_path: Path) -> None:
         (["identity=z"], "expected one of a, b, c"),
         (["what=retargeted", "source=z"], "source: 'z' is unknown, expected one of a, b, c"),
         (["identity=[a,a]"], "each once"),
+        (["identity=1"], "identity: '1' is unknown, expected one of a, b, c"),
+        (["identity=[]"], "one or more"),
+        (["identity={a: b}"], "identity: "),
+        (["what=retargeted", "source=1"], "source: '1' is unknown"),
+        (["normals=maybe"], "normals: expected true or false, got 'maybe'"),
+        (["overwrite=maybe"], "overwrite: expected true or false, got 'maybe'"),
+        (["overwrite=1"], "overwrite: expected true or false, got 1"),
+        (["most_targets=many"], "most_targets: expected a whole number of at least 1, got 'many'"),
+        (["fps=true"], "fps: expected a positive number or null, got True"),
+        (["output=5"], "output: expected a path or null, got 5"),
+        (["what=retargeted", "from=5"], "from: expected a path or null, got 5"),
+        ([f"take={300 * 'x'}"], "found no file 'xxx"),
         (["frames=99"], "from 0 to 11"),
         (["frames=7:2"], "ascending"),
         (["frames=expression_02"], "Did you mean 'expression_0"),
@@ -175,13 +192,94 @@ def test_nothing_is_overwritten_unasked(run: Run, tmp_path: Path) -> None:
         (["output=face.obj"], "ends in .glb"),
         (["from=results/ci"], "what=retargeted"),
         (["what=retargeted", "source=a", "target=a"], "another identity"),
-        (["what=retargeted", "n_examples=30"], "at most 7"),
+        (["what=retargeted", "n_examples=30"], "^n_examples: 30 .*test_expressions.* at most 7 .* n_examples=7,"),
+        (["what=retargeted", "n_examples=1", "test_expressions=12"], "at most 0 are left. Hold out fewer"),
     ],
 )
 def test_what_cannot_be_exported_is_told_in_words(run: Run, tmp_path: Path, overrides: list[str], said: str) -> None:
     with pytest.raises(InvalidInput, match=said):
         run(*overrides)
     assert not list(tmp_path.rglob("*.glb"))
+
+
+@dataclass(frozen=True)
+class Announced(PerformedConfig):
+    """Its people and expressions have names before anybody is made."""
+
+    name: ClassVar[str] = "announced"
+
+    def source(self) -> str:
+        return ""
+
+    def troupe(self, progress: Progress) -> Troupe:
+        raise AssertionError("people were made")
+
+
+TAKE = ["Timecode,BlendShapeCount," + ",".join(name[0].upper() + name[1:] for name in NAMES)]
+TAKE += [f"00:00:00:{k:02d},61," + ",".join(["0.5", "-0.1", *["0"] * 50]) for k in range(2)]
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        (["identity=nobody"], "identity: 'nobody' is unknown, expected one of person-000"),
+        (["frames=7:2"], "ascending"),
+        (["frames=recombined-01"], "Did you mean 'recombined-0"),
+        (["dataset.expressions=300"], "frames: 300 frames, each a morph target"),
+        (["take=nowhere.csv"], "nowhere.csv"),
+        (["take=cut.csv"], "cut.csv, line 2: expected 54 values"),
+        (["take=conversation", "seconds=1", "frames=30"], "from 0 to 29"),
+        (["take=conversation"], "300 frames"),
+        (["dataset.truth=null"], "dataset.truth: expected one of"),
+        (["format=npz", "identity=all", "output=faces.npz"], "output: expected a folder"),
+        (["what=rig", "identity=nobody"], "identity: 'nobody'"),
+        (["what=rig", "take=cut.csv"], "cut.csv"),
+        (["what=rig", "frames=99"], "from 0 to 11"),
+        (["what=retargeted", "target=nobody"], "target: 'nobody'"),
+        (["what=retargeted", "n_examples=8"], "at most 7 are left"),
+        (["what=retargeted", "n_examples=3", "frames=99"], "from 0 to 11"),
+        (["what=retargeted", "method.anacondar.smooth=1"], "anacondar"),
+        (["what=retargeted", "dataset.identities=1"], "at least 2"),
+        ([], "truth-ebfr_arkit-person-000.glb: is there already"),
+        (["what=rig"], "rig-ebfr_arkit-person-000.glb: is there already"),
+        (["what=retargeted", "n_examples=3"], "anacondar-person-000-to-person-001.glb: is there already"),
+    ],
+)
+def test_what_can_be_known_is_told_before_people_are_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overrides: list[str], said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "cut.csv").write_text("\n".join([TAKE[0], TAKE[1][:40]]))
+    (tmp_path / "exports").mkdir()
+    for name in ("truth-ebfr_arkit-person-000", "rig-ebfr_arkit-person-000", "anacondar-person-000-to-person-001"):
+        (tmp_path / "exports" / f"{name}.glb").touch()
+    added = [f"+{each}" if each.startswith("method.anacondar.smooth") else each for each in overrides]
+    config = composed("export", ["dataset.expressions=12", "dataset.identities=3", *added])
+    settings = {field.name: config.dataset[field.name] for field in fields(Announced)}
+    config.dataset = OmegaConf.create({"_target_": f"{__name__}.Announced", **settings})
+    with pytest.raises((InvalidInput, InstantiationException), match=said):
+        export(config, Console(file=io.StringIO()))
+
+
+def test_names_with_brackets_are_printed_as_they_are(run: Run, tmp_path: Path) -> None:
+    """As the line of a dataset about a folder, and as the name of a method."""
+    _, said = run("frames=0:2", line="folder [/b] of [bold]people")
+    assert "  folder [/b] of [bold]people\n" in said
+    config = composed("export", ["what=retargeted", "method=[delta]", "n_examples=3"])
+    config.dataset = OmegaConf.create({"_target_": f"{__name__}.Heads"})
+    config.method = OmegaConf.create({"[/b]": config.method.delta})
+    export(config, Console(file=(told := io.StringIO()), width=300))
+    said = told.getvalue()
+    assert "[/b]: set-up for the pair" in said
+    assert "source, truth, [/b]: " in said
+
+
+def test_a_take_of_a_file_is_told_and_noted_with_what_was_mended(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "mine.csv").write_text("\n".join(TAKE))
+    path, said = run("take=mine.csv")
+    summary = "mine: 2 rows, 0 lost, 2 clipped (values from -0.1 to 0.5)"
+    assert f"take {summary}" in said
+    assert Glb.read(path).scene["scenes"][0]["extras"]["recording"].startswith(summary)
 
 
 def test_scans_have_no_rig(run: Run) -> None:
