@@ -39,7 +39,7 @@ class Recording:
         rows, lost, clipped = len(self.times), int(self.lost.sum()), int(self.clipped.sum())
         line = f"{self.name}: {rows:,} rows, {lost:,} lost, {clipped:,} clipped"
         if clipped:
-            line += f" (values from {self.extent[0]:.3g} to {self.extent[1]:.3g})"
+            line += f" (values from {self.extent[0]:.4g} to {self.extent[1]:.4g})"
         if 2 * clipped > rows - lost:
             line += "; warning: most rows leave [0, 1], check that these are weights of ARKit"
         if 2 * lost > rows:

@@ -107,7 +107,7 @@ def test_values_a_little_outside_are_clipped_and_told(write: Write) -> None:
     assert weight(path, "jawOpen") == [1, 0, 0]
     assert take.clipped.tolist() == [True, True, False]
     assert take.rotations[1, 0] == -3
-    said = "take: 3 rows, 1 lost, 2 clipped (values from -0.01 to 1); warning: most rows leave [0, 1]"
+    said = "take: 3 rows, 1 lost, 2 clipped (values from -0.01 to 1.003); warning: most rows leave [0, 1]"
     assert take.summary.startswith(said)
 
 
