@@ -250,7 +250,7 @@ def _compared(claim: Claim, name: str, row: Mapping[str, Any]) -> Verdict:
     if agreed:
         said, brief = ("All analyses agree", "agree") if wanted else ("All analyses agree on the opposite", "opposite")
     sentence = f"{said} ({size}; p {p}, Holm over the {row['family']} claims of a difference)."
-    return Verdict(name, status, value, sentence, f"{brief}, p (claims) {p}")
+    return Verdict(name, status, value, sentence, f"{brief}, p {p}")
 
 
 _SUPPORT = ["p_holm", "p_sources", "p_targets", "ratio", "ratio_low", "ratio_high", "effect"]
@@ -264,7 +264,7 @@ def _alike(claim: Claim, name: str, row: Mapping[str, Any], value: str, size: st
     elif row["ratio_high"] < low or high < row["ratio_low"]:
         status, said, brief = Status.NOT_REPRODUCED, "lies outside", "outside"
     else:
-        status, said, brief = Status.INCONCLUSIVE, "overlaps a bound of", "overlaps a bound of"
+        status, said, brief = Status.INCONCLUSIVE, "overlaps a bound of", "overlaps"
     return Verdict(name, status, value, f"The interval {said} {band} ({size}).", f"{brief} {band}")
 
 

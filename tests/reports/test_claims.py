@@ -104,7 +104,7 @@ def test_the_family_of_a_corrected_p_is_named(study: StudyResults) -> None:
     found = judge([SMALLER, FADES, replace(SMALLER, other="gone"), ALIKE], {"study": _with(study, {("plbs", 5): 0.5})})
     verdict = found[0].verdicts[0]
     assert "Holm over the 3 claims of a difference" in verdict.sentence
-    assert verdict.brief.startswith("agree, p (claims) < 0.0001")
+    assert verdict.brief.startswith("agree, p < 0.0001")
 
 
 @pytest.mark.parametrize(
