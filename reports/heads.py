@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 from joblib import Parallel, delayed
 
+from reports.bust import bust_with
 from reports.camera import Camera, look
 from reports.load import FigureCell, Frames, MethodFacts, StudyResults
 from reports.render import render_mesh, write_image
 from reports.text import entry
-from retarget.types import FloatArray
+from retarget.types import FloatArray, IntArray
 
 STORED = 2e-5  # mm: frames are kept in single precision, so that a smaller error is none
 SIZE = (216, 264)  # pixels of one head: 270 per inch at 20 mm
@@ -108,12 +109,13 @@ class _Darkroom:
 def error_limit(studies: Sequence[StudyResults]) -> float:
     """Upper end in mm of the one scale on which errors of studies are coloured; 1 without any error.
 
-    It is where the middle one of all kept cells that a method made, and that are not exact, has its worst three
-    hundredths: better ones still show colour, and the worst may saturate.
+    Of all kept cells that a method made, and that are not exact, the middle one has its worst three hundredths at two
+    thirds of the scale: better ones still show colour, and the worst may saturate.
     """
     made = [cell for study in studies for cell in study.figure_cells if cell.method in study.tested]
     large = [float(np.nanquantile(_errors(cell), 0.97)) for cell in made]
-    return nice(float(np.median(shown))) if (shown := [value for value in large if value > STORED]) else 1.0
+    shown = [value for value in large if value > STORED]
+    return nice(1.5 * float(np.median(shown))) if shown else 1.0
 
 
 def render_heads(
@@ -321,11 +323,14 @@ def nice(value: float) -> float:
 def _take(
     path: Path,
     vertices: FloatArray,
-    faces: FloatArray,
+    faces: IntArray,
     camera: Camera,
     size: tuple[int, int],
     error: FloatArray | None,
     limit: float,
 ) -> None:
     limits = None if error is None else (0.0, limit)
-    write_image(path, render_mesh(vertices, faces, camera, size, vertex_values=error, limits=limits))
+    values = np.full(len(vertices), np.nan) if error is None else error
+    head, triangles, shown = bust_with(np.asarray(vertices, dtype=np.float64), faces, values)
+    picture = render_mesh(head, triangles, camera, size, vertex_values=None if error is None else shown, limits=limits)
+    write_image(path, picture)

@@ -3,7 +3,7 @@
 import numpy as np
 import trimesh
 
-from reports.bust import ABOVE, bust
+from reports.bust import ABOVE, bust, bust_with
 
 
 def test_a_ragged_rim_becomes_a_straight_one() -> None:
@@ -25,3 +25,22 @@ def test_a_closed_mesh_stays_as_it_is() -> None:
     vertices, faces = bust(np.asarray(ball.vertices), np.asarray(ball.faces))
     assert len(vertices) == len(ball.vertices)
     assert len(faces) == len(ball.faces)
+
+
+def test_values_go_with_their_vertices_and_are_interpolated_on_the_cut() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=40.0)
+    part = np.asarray(ball.faces)[ball.triangles_center[:, 2] > -28.0]
+    heights = np.asarray(ball.vertices)[:, 2]
+    vertices, faces, values = bust_with(np.asarray(ball.vertices), part, heights)
+    np.testing.assert_allclose(values[faces], vertices[faces][..., 2], atol=1e-9)
+    unmeasured = np.where(heights > 0, heights, np.nan)
+    vertices, faces, values = bust_with(np.asarray(ball.vertices), part, unmeasured)
+    assert (np.isnan(values) == (vertices[:, 2] < 1e-9))[np.unique(faces)].all()
+
+
+def test_a_face_whose_rim_runs_around_it_stays_whole() -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=40.0)
+    mask = np.asarray(ball.faces)[ball.triangles_center[:, 2] > 20 * np.sin(ball.triangles_center[:, 0] / 10.0)]
+    vertices, faces = bust(np.asarray(ball.vertices), mask)
+    assert len(faces) == len(mask)
+    assert len(vertices) == len(ball.vertices)
