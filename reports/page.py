@@ -45,7 +45,7 @@ def page(content: Mapping[str, Any], studies: Sequence[StudyResults], work: Path
     """The page as text; see `write_page`."""
     several = len(content["studies"]) > 1
     box = _plot(work / content["box"], _BOX_SEVERAL if several else _BOX)
-    sections = [list(_sections(study, work, "" if several else box)) for study in content["studies"]]
+    sections = [list(_sections(study, content["memory"], work, "" if several else box)) for study in content["studies"]]
     heads = list(_heads(content, studies))
     arrays = [array for packed in heads for array in packed.arrays]
     facts = {
@@ -65,6 +65,7 @@ def page(content: Mapping[str, Any], studies: Sequence[StudyResults], work: Path
         precision=f"{STEP:g}",
         correspondences=_correspondences(content["correspondences"]),
         studies="".join(map(_study, range(len(sections)), _labels(content), sections)),
+        glossary=_glossary(content["glossary"]),
         claims=claims_part(content["claims"]),
         limits=named_list(content["limits"]),
         heads=json.dumps(facts, ensure_ascii=True).replace("</", "<\\/").replace("<!--", "<\\u0021--"),
@@ -74,7 +75,7 @@ def page(content: Mapping[str, Any], studies: Sequence[StudyResults], work: Path
 
 
 _FOUND = "What was found"
-_LAST = (("claims", "Published claims"), ("limits", "What this cannot show"))
+_LAST = (("measures", "Measures and regions"), ("claims", "Published claims"), ("limits", "What this cannot show"))
 _BOX = (
     "Errors grouped by the number of target examples, in the form of Fig. 10 of the paper. One dot per ordered pair "
     "(mean over draws and expressions); boxes hold the middle half, whiskers reach 1.5 times its width. Logarithmic: "
@@ -147,6 +148,12 @@ def _correspondences(rows: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
+def _glossary(glossary: Mapping[str, Any]) -> str:
+    caption = f"The measures by their names in tables; better: lower, higher, or nearer to 0. {glossary['signed']}"
+    named = [(f"{name}:", f"{said}.") for name, said in (*glossary["regions"], *glossary["conditions"])]
+    return tables.glossary_table(glossary["measures"], caption) + (named_list(named) if named else "")
+
+
 def _labels(content: Mapping[str, Any]) -> list[str]:
     """Of each study, where there are several."""
     studies = content["studies"]
@@ -177,7 +184,7 @@ def _links(labels: Sequence[str], sections: Sequence[Sequence[tuple[str, str]]],
     return f"<nav>{''.join(links)}</nav>"
 
 
-def _sections(study: Mapping[str, Any], work: Path, box: str) -> Iterator[tuple[str, str]]:
+def _sections(study: Mapping[str, Any], memory: str, work: Path, box: str) -> Iterator[tuple[str, str]]:
     """(title, body) of each section; `box` is the box plot of a page of one study."""
     counts, reference = study["counts"], study["reference"]
     yield (
@@ -217,14 +224,24 @@ def _sections(study: Mapping[str, Any], work: Path, box: str) -> Iterator[tuple[
     yield (
         "Errors by region",
         "".join(map(tables.region_table, study["regions"]))
-        + f"<p class='muted'>Mean of {escape(study['metric'])} in {escape(study['unit'])}. Bold: the difference to "
-        f"{escape(reference)} is below 5 % after Benjamini-Hochberg; secondary, no claim rests on it.</p>",
+        + f"<p class='muted'>Mean of {escape(study['metric'])} in {escape(study['unit'])}. "
+        + _bold(
+            study,
+            f"the difference to {escape(reference)} is below 5 % after Benjamini-Hochberg; secondary, no claim "
+            "rests on it.",
+        )
+        + "</p>",
     )
     ratios = f"Ratios to {reference}: a dot per pair, diamond and bar for the geometric mean and its 95 % interval."
     yield "Tests", _tests(study) + (_plot(work / study["ratio"], ratios) if study["ratio"] else "")
     yield "Cells without a clean result", _failures(study)
-    times = "Medians with quartiles. They were taken beside other processes: orders of magnitude, no small differences."
+    times = (
+        f"Medians with quartiles in the same unit. The largest process took {memory} MB, whatever methods it had run "
+        "before. Times were taken beside other processes: orders of magnitude, no small differences."
+    )
     yield "Times", tables.times_table(counts, study["times"], times)
+    if study["everything"]:
+        yield "Every measure", tables.everything_table(study["everything"])
     yield "Methods", tables.settings_table(study["settings"])
     facts = "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in study["facts"])
     yield "What was run", f"<dl>{facts}</dl>"
@@ -241,6 +258,7 @@ def _tests(study: Mapping[str, Any]) -> str:
         )
         if family["run"] < family["declared"]:
             caption += f" Family incomplete: {family['run']} of {family['declared']} tests."
+        caption += " " + _bold(study, "below 5 %.")
         primary = tables.tests_table(study["tests"], "p Holm, primary", caption)
     caption = "Methods outside the primary family, with Benjamini-Hochberg's correction; no claim rests on them."
     secondary = tables.tests_table(study["secondary"], "q BH", caption) if study["secondary"] else ""
@@ -248,6 +266,13 @@ def _tests(study: Mapping[str, Any]) -> str:
         f"{primary}{secondary}<p class='muted'>A difference is claimed where the corrected test, the tests on sources "
         "and on targets and the interval agree. p naive takes every expression as independent, which overstates the "
         "evidence.</p>"
+    )
+
+
+def _bold(study: Mapping[str, Any], meaning: str) -> str:
+    """What bold print means in a table of tests."""
+    return (
+        f"Bold: {meaning}" if study["may_claim"] else "With so few people nothing can be claimed, and nothing is bold."
     )
 
 

@@ -192,6 +192,22 @@ def settings_table(rows: Sequence[Content]) -> str:
     return table(columns, ([_named(r), r["description"], ", ".join(map(str, r["settings"]))] for r in rows))
 
 
+def everything_table(everything: Content) -> str:
+    """Means of all that was measured at one number of examples."""
+    columns = [Column("measure", words=True), Column("region", words=True), Column("unit", words=True)]
+    columns += [Column(label) for label in everything["labels"]]
+    body = (
+        [r["measure"], r["region"].replace("_", " "), "" if r["unit"] == "1" else r["unit"], *r["cells"]]
+        for r in everything["rows"]
+    )
+    return table(columns, body, f"Means over pairs with {everything['count']} examples.")
+
+
+def glossary_table(rows: Sequence[Content], caption: str) -> str:
+    columns = [Column(name, words=True) for name in ("measure", "unit", "better", "what it is")]
+    return table(columns, ([r["name"], r["unit"], r["better"], r["says"]] for r in rows), caption)
+
+
 def agreement_table(counts: Sequence[int], rows: Sequence[Content], caption: str) -> str:
     columns = [Column("condition", words=True), Column("condition", words=True)]
     columns += [Column(f"{n} examples") for n in counts]

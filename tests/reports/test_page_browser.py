@@ -199,6 +199,7 @@ def test_a_phone_shows_it_without_scrolling_sideways(tab: Tab) -> None:
     tab.wait("innerWidth === 360")
     assert tab.js("document.documentElement.scrollWidth") == 360
     assert tab.js('document.querySelector("figure canvas").getBoundingClientRect().width') > 120
+    assert tab.js('document.querySelector("figure canvas").getBoundingClientRect().bottom') < 740  # a whole head
 
 
 def test_without_graphics_the_page_says_so_and_the_tables_work(path: Path) -> None:
