@@ -41,6 +41,7 @@ _FACTS: Mapping[str, Any] = {  # of study.json; a mapping stands for named entri
         "packages": dict, "started": str, "finished": str, "wall_seconds": float, "seed": int,
     },
 }  # fmt: skip
+_OPTIONAL: Mapping[str, Any] = {"tables": [list], "measures": dict, "glossary": dict}
 
 
 def check_facts(path: Path, facts: Mapping[str, Any]) -> None:
@@ -48,6 +49,10 @@ def check_facts(path: Path, facts: Mapping[str, Any]) -> None:
     if missing := [name for name in _FACTS if name not in facts]:
         raise InvalidInput(f"{path}: expected the entries {', '.join(missing)}; run the study again.")
     _check_entry(path, "", facts, _FACTS)
+    _check_entry(path, "", facts, {name: kind for name, kind in _OPTIONAL.items() if name in facts})
+    for name, listed in {"tables": facts.get("tables", []), **facts.get("measures", {})}.items():
+        if not isinstance(listed, list) or any(not isinstance(pair, list) or len(pair) != 2 for pair in listed):
+            raise InvalidInput(f"{path}, {name}: expected pairs (metric, region), got {reprlib.repr(listed)}. {_AGAIN}")
     for name in ("methods", "n_examples", "identities"):
         if not facts[name]:
             raise InvalidInput(f"{path}, {name}: expected at least one entry, got an empty list. {_AGAIN}")
@@ -88,6 +93,8 @@ def check_tables(folder: Path, facts: Mapping[str, Any], metrics: pd.DataFrame, 
     _check_values(paths[0], metrics)
     _check_units(paths[0], metrics)
     _check_measure(folder / "study.json", facts, metrics)
+    _check_listed(folder / "study.json", "methods", [method["name"] for method in facts["methods"]], metrics["method"])
+    _check_listed(folder / "study.json", "n_examples", facts["n_examples"], metrics["n_examples"])
     _check_same_cells(paths, metrics.iloc[np.unique(_numbered(metrics, _CELL), return_index=True)[1]], cells)
     _check_same_expressions(paths[0], metrics)
 
@@ -145,6 +152,11 @@ def _check_measure(path: Path, facts: Mapping[str, Any], metrics: pd.DataFrame) 
     if not (taken == wanted[1]).any():
         listed = ", ".join(map(str, taken.unique()))
         _refuse(f"{path}, primary_region", f"a region of {wanted[0]} in metrics.parquet ({listed})", repr(wanted[1]))
+
+
+def _check_listed(path: Path, name: str, listed: Sequence[object], found: pd.Series[Any]) -> None:
+    if unknown := [str(one) for one in found.unique() if one not in listed]:
+        _refuse(f"{path}, {name}", f"also {', '.join(unknown)}, as in metrics.parquet", ", ".join(map(str, listed)))
 
 
 def _check_same_cells(paths: tuple[Path, Path], first_rows: pd.DataFrame, cells: pd.DataFrame) -> None:

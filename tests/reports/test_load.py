@@ -112,6 +112,7 @@ def _one_infinite(table: pd.DataFrame) -> pd.DataFrame:
     return table.assign(value=np.where((table["method"] == "plbs") & (table["draw"] == 0), np.inf, table["value"]))
 
 
+ROW = {"name": "delta", "label": "delta", "description": "", "kind": "method", "settings": {}}
 CELL = {"method": "plbs", "source": "person_00", "target": "person_01", "n_examples": 15, "draw": 0}
 
 
@@ -141,6 +142,10 @@ CELL = {"method": "plbs", "source": "person_00", "target": "person_01", "n_examp
         (_set("provenance", to={}), r"expected the entry provenance.project_version"),
         (_set("methods", to=[{}]), r"expected the entry methods\[0\].name"),
         (_set("n_examples", to=["five"]), r"study.json, n_examples\[0\]: expected a whole number, got 'five'"),
+        (_set("n_examples", to=[5, 99]), r"study.json, n_examples: expected also 15, 30, .* got 5, 99"),
+        (_set("methods", to=[ROW]), r"study.json, methods: expected also sumner_popovic, .*, got delta"),
+        (_set("tables", to="x"), r"study.json, tables: expected a list, got 'x'"),
+        (_set("measures", to={"lbs": ["x"]}), r"study.json, lbs: expected pairs \(metric, region\), got \['x'\]"),
         (_set("identities", to=[]), r"study.json, identities: expected at least one entry"),
     ],
 )
