@@ -443,3 +443,15 @@ def test_folders_without_results_or_with_broken_sheets_are_refused(tmp_path: Pat
     (sheet / "content.json").write_text(json.dumps({"schema": 1, "blocks": [block]}))
     with pytest.raises(InvalidInput, match=r"gone.jpg.*missing"):
         gather([tmp_path])
+
+
+def test_conditions_share_one_scale_of_errors(tmp_path: Path) -> None:
+    for name, noise in (("0", 0.0), ("1", 3.0)):
+        write_example_study(tmp_path / name, identities=2, draws=1, noise_mm=noise, failures=False)
+    gathered = gather([tmp_path / "0", tmp_path / "1"])
+    alone = [heads.error_limit([study]) for study in gathered.groups[0]]
+    assert alone[0] < alone[1]
+    (chapter,) = describe(gathered, _work(tmp_path), lambda line: None)["chapters"]
+    limits = {study["heads"]["limit_mm"] for study in chapter["studies"]}
+    assert limits == {heads.error_limit(gathered.groups[0])}
+    assert alone[0] <= limits.pop() <= alone[1]
