@@ -271,9 +271,7 @@ def _tests(study: Mapping[str, Any]) -> str:
 
 def _bold(study: Mapping[str, Any], meaning: str) -> str:
     """What bold print means in a table of tests."""
-    return (
-        f"Bold: {meaning}" if study["may_claim"] else "With so few people nothing can be claimed, and nothing is bold."
-    )
+    return str(study["no_claim"]) or f"Bold: {meaning}"
 
 
 def _failures(study: Mapping[str, Any]) -> str:

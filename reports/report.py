@@ -295,7 +295,7 @@ def _study(
         figures.ratio_plot(study, everyone, work / f"{prefix}-ratio.svg")
     progress("rendering heads")
     heads = render_heads(study, work, prefix, limit=limit)
-    different = _different_regions(study) if tables.may_claim(study) else {}
+    different = {} if tables.no_claim(study) else _different_regions(study)
     regions = []
     for count in facts["n_examples"]:
         names, body = tables.region_rows(study, count, different.get(count, set()))
@@ -330,7 +330,7 @@ def _study(
         "regions": regions,
         "heads": _heads(heads),
         "tests": tables.test_rows(study, primary.assign(adjusted=primary["p_holm"])),
-        "may_claim": tables.may_claim(study),
+        "no_claim": tables.no_claim(study),
         "family": {"run": int((primary["n_pairs"] > 0).sum()), "declared": len(family) * len(facts["n_examples"])},
         "secondary": tables.test_rows(study, secondary),
         "times": tables.time_rows(study),

@@ -110,9 +110,12 @@ def _heat(value: float, top: float, strong: bool, plain: bool) -> Row:
     return {"text": entry(value), "fill": fill, "dark": share > 0.5, "strong": strong}
 
 
-def may_claim(study: StudyResults) -> bool:
-    """Whether a study has enough people for any difference to be claimed."""
-    return len(study.facts["identities"]) >= FEWEST
+def no_claim(study: StudyResults) -> str:
+    """Why no difference of a study can be claimed, so that none is bold; empty where one can."""
+    if study.sanity:
+        return "This truth is a check, from which nothing is claimed: nothing is bold."
+    few = len(study.facts["identities"]) < FEWEST
+    return "With so few people nothing can be claimed, and nothing is bold." if few else ""
 
 
 def test_rows(study: StudyResults, tests: pd.DataFrame) -> list[Row]:
@@ -127,7 +130,7 @@ def test_rows(study: StudyResults, tests: pd.DataFrame) -> list[Row]:
 
 def _test_row(study: StudyResults, r: Mapping[Any, Any]) -> Row:
     row: Row = {"count": int(r["n_examples"]), "label": study.label(r["method"]), "pairs": int(r["n_pairs"])}
-    row["strong"] = bool(r["adjusted"] < ALPHA) and may_claim(study)
+    row["strong"] = bool(r["adjusted"] < ALPHA) and not no_claim(study)
     if not row["pairs"]:
         nothing = dict.fromkeys(("ratio", "interval", "effect", "wins", "p", "p_sources", "p_targets", "p_naive"), "")
         return row | nothing | {"adjusted": "no result"}

@@ -245,6 +245,8 @@ def test_bold_needs_people_enough_for_a_claim(tmp_path: Path) -> None:
         (study,) = load([tmp_path / str(people)])
         assert all(row["strong"] for row in rows_of_tests(study, tests.assign(adjusted=0.01))) == bold
         assert not any(row["strong"] for row in rows_of_tests(study, tests.assign(adjusted=0.06)))
+        check = replace(study, facts=study.facts | {"dataset": study.facts["dataset"] | {"truth": "additive"}})
+        assert not any(row["strong"] for row in rows_of_tests(check, tests.assign(adjusted=0.01)))
 
 
 def test_every_measure_is_printed_once_where_it_fits(folder: Path) -> None:
