@@ -11,6 +11,8 @@ from typing import Protocol, TypeVar
 import joblib
 from threadpoolctl import threadpool_limits
 
+from retarget.check import InvalidInput
+
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
@@ -21,9 +23,18 @@ class Backend(Protocol):
         ...
 
 
+def _check(name: str, value: int, *, negative: bool = False) -> None:
+    if isinstance(value, bool) or not isinstance(value, int) or value == 0 or (value < 0 and not negative):
+        told = "a whole number of at least 1" + (", -1 for every core or -2 for all but one" if negative else "")
+        raise InvalidInput(f"backend.{name}: expected {told}, got {value!r}.")
+
+
 @dataclass(frozen=True)
 class Serial:
     threads: int = 1
+
+    def __post_init__(self) -> None:
+        _check("threads", self.threads)
 
     def run(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
         for task in tasks:
@@ -34,6 +45,10 @@ class Serial:
 class Joblib:
     jobs: int = -1
     threads: int = 1
+
+    def __post_init__(self) -> None:
+        _check("jobs", self.jobs, negative=True)
+        _check("threads", self.threads)
 
     def run(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
         parallel = joblib.Parallel(n_jobs=self.jobs, return_as="generator_unordered", pre_dispatch="2*n_jobs")

@@ -45,6 +45,7 @@ def run(config: DictConfig, folder: Path, console: Console) -> None:
     check_folder(folder)
     kind = choose("study.kind", config.study.kind, KINDS)
     check_identities(_plain(config.dataset), tuning=kind == "tuning")
+    instantiate(config.backend)  # checked before data is made
     KINDS[kind](config, folder, console)
 
 

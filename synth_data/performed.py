@@ -58,6 +58,7 @@ class PerformedConfig(DatasetConfig):
     cache: str | None = None  # a folder; by default the user's
 
     name: ClassVar[str]  # of the dataset
+    paths: ClassVar[Mapping[str, str]] = {"recording": "a Live Link Face CSV", "cache": "a folder"}
     package: ClassVar[str]  # of its code and data
     # What decides no frames: an identity's name holds its seed, and files count by their contents.
     elsewhere: ClassVar[frozenset[str]] = frozenset({"identities", "first_seed", "recording", "noise_mm", "cache"})
@@ -116,7 +117,7 @@ class PerformedConfig(DatasetConfig):
         for name, valid in (("truth", truth_kinds()), ("weights", SOURCES)):
             if not isinstance(value := getattr(self, name), str):
                 raise InvalidInput(f"dataset.{name}: expected one of {', '.join(valid)}, got {value!r}.")
-        for name, what in (("recording", "a Live Link Face CSV"), ("cache", "a folder")):
+        for name, what in self.paths.items():
             if not isinstance(value := getattr(self, name), str | None):
                 raise InvalidInput(f"dataset.{name}: expected the path of {what}, or null, got {value!r}.")
         check_noise("dataset.noise_mm", self.noise_mm)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -23,6 +24,7 @@ class IctFaceKit(PerformedConfig):
 
     name: ClassVar[str] = "ict_facekit"
     package: ClassVar[str] = "synth_data.ict_facekit"
+    paths: ClassVar[Mapping[str, str]] = {**PerformedConfig.paths, "root": "a clone of ICT-FaceKit"}
     elsewhere: ClassVar[frozenset[str]] = PerformedConfig.elsewhere | {"root"}
 
     def source(self) -> str:

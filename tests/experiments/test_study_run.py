@@ -226,6 +226,14 @@ def _packaged_delta() -> Retargeter:
     return DeltaTransfer()
 
 
+@pytest.mark.parametrize("settings", [{"jobs": 0}, {"jobs": "x"}, {"threads": -1}, {"threads": True}])
+def test_a_backend_without_a_number_is_refused(settings: dict[str, Any]) -> None:
+    (name,) = settings
+    with pytest.raises(InvalidInput, match=f"backend.{name}: expected a whole number"):
+        Joblib(**settings)
+    assert Joblib(jobs=-2).jobs == -2
+
+
 def test_marked_frames_are_kept_beside_their_record(tmp_path: Path) -> None:
     data = toy()
     the_plan = planned(tmp_path, data)

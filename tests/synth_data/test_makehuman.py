@@ -131,6 +131,7 @@ def test_subdivision_refines_faces_regions_and_frames_alike(data: PerformedDatas
         ({"recording": 5}, "dataset.recording: expected the path of a Live Link Face CSV, or null, got 5"),
         ({"recording": 300 * "x", "weights": "recorded"}, "xxx: expected a CSV file of Live Link Face, found none"),
         ({"cache": True}, "dataset.cache: expected the path of a folder, or null, got True"),
+        ({"wheel": 5}, "dataset.wheel: expected the path of a wheel file, or null, got 5"),
         ({"truth": None}, "dataset.truth: expected one of additive, .*, personal_blendshapes, got None"),
         ({"weights": 3}, "dataset.weights: expected one of sparse, recombined, recorded, got 3"),
         ({"expressions": True}, "dataset.expressions: expected a whole number of at least 1, got True"),
