@@ -14,10 +14,9 @@ from rich.console import Console
 from experiments.alm_study import AlmStudy, Case, cases, save, summary_of_errors
 from experiments.backend import limited_threads
 from experiments.catalogue import MethodMaker
-from experiments.progress import progress
-from experiments.study import check_whole
+from experiments.progress import print_line, progress
 from reports.leave_out_sheet import Shown, write_leave_out_sheet
-from retarget.check import InvalidInput
+from retarget.check import InvalidInput, check_whole
 from retarget.types import Examples, FloatArray, Prepared, RetargetProblem
 from synth_data.dataset import Dataset
 
@@ -88,7 +87,7 @@ def _serving(makers: Sequence[MethodMaker], problem: RetargetProblem, console: C
     refusals = {maker.name: maker().unsupported(problem) for maker in makers}
     for name, reason in refusals.items():
         if reason:
-            console.print(f"  left out: {name}, {reason}", markup=False, highlight=False, soft_wrap=True)
+            print_line(f"  left out: {name}, {reason}", console)
     if all(refusals.values()):
         raise InvalidInput("method: none of those chosen serves this dataset; choose others with 'method=[NAME,NAME]'.")
     return [maker for maker in makers if not refusals[maker.name]]

@@ -15,9 +15,8 @@ from experiments.alm_study import AlmStudy, Case, cases, write
 from experiments.backend import limited_threads
 from experiments.catalogue import MethodMaker
 from experiments.progress import progress
-from experiments.study import check_whole
 from reports.curves_sheet import Panel
-from retarget.check import InvalidInput
+from retarget.check import InvalidInput, check_whole
 from retarget.geometry.graph import vertex_adjacency
 from retarget.rig.local_model.layout import OverlappingPatches
 from retarget.types import FloatArray, IntArray

@@ -14,9 +14,8 @@ from experiments.alm_study import AlmStudy, Case, cases, write
 from experiments.backend import limited_threads
 from experiments.catalogue import MethodMaker
 from experiments.progress import progress
-from experiments.study import check_whole
 from reports.curves_sheet import Panel
-from retarget.check import InvalidInput
+from retarget.check import InvalidInput, check_whole
 from synth_data.dataset import Dataset
 
 UNITS = {"millimetres": 1.0, "centimetres": 10.0, "metres": 1000.0}

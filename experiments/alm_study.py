@@ -15,9 +15,9 @@ from rich.console import Console
 from experiments.collision import chosen_pairs
 from experiments.progress import print_path
 from experiments.protocol import draw
-from experiments.study import check_settings, check_whole
+from experiments.study import check_settings
 from reports.curves_sheet import Panel, write_curves_sheet
-from retarget.check import InvalidInput
+from retarget.check import InvalidInput, check_whole
 from retarget.io.files import write_whole
 from retarget.types import Examples, FloatArray, IntArray, Pair, RetargetProblem
 from synth_data.dataset import Dataset

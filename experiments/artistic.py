@@ -18,11 +18,11 @@ from experiments.catalogue import MethodMaker
 from experiments.collision import chosen_pairs
 from experiments.progress import Advance, print_path, progress
 from experiments.protocol import draw
-from experiments.study import check_settings, check_whole
+from experiments.study import check_settings
 from reports.artistic_sheet import Panel, write_artistic_sheet
 from reports.terminal import print_edits
 from retarget.artistic import Edits
-from retarget.check import InvalidInput
+from retarget.check import InvalidInput, check_whole
 from retarget.geometry.patches import contiguous_patches
 from retarget.geometry.space_warp import space_warp
 from retarget.io.files import write_whole

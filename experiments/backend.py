@@ -11,7 +11,7 @@ from typing import Protocol, TypeVar
 import joblib
 from threadpoolctl import threadpool_limits
 
-from retarget.check import InvalidInput
+from retarget.check import InvalidInput, check_whole
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -23,18 +23,12 @@ class Backend(Protocol):
         ...
 
 
-def _check(name: str, value: int, *, negative: bool = False) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or value == 0 or (value < 0 and not negative):
-        told = "a whole number of at least 1" + (", -1 for every core or -2 for all but one" if negative else "")
-        raise InvalidInput(f"backend.{name}: expected {told}, got {value!r}.")
-
-
 @dataclass(frozen=True)
 class Serial:
     threads: int = 1
 
     def __post_init__(self) -> None:
-        _check("threads", self.threads)
+        check_whole("backend.threads", self.threads, 1)
 
     def run(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
         for task in tasks:
@@ -47,8 +41,12 @@ class Joblib:
     threads: int = 1
 
     def __post_init__(self) -> None:
-        _check("jobs", self.jobs, negative=True)
-        _check("threads", self.threads)
+        if isinstance(self.jobs, bool) or not isinstance(self.jobs, int) or self.jobs == 0:
+            raise InvalidInput(
+                "backend.jobs: expected a whole number of at least 1, -1 for every core or -2 for all but one, got "
+                f"{self.jobs!r}."
+            )
+        check_whole("backend.threads", self.threads, 1)
 
     def run(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
         parallel = joblib.Parallel(n_jobs=self.jobs, return_as="generator_unordered", pre_dispatch="2*n_jobs")

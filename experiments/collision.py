@@ -24,10 +24,10 @@ from experiments.catalogue import MethodMaker
 from experiments.lip_depth import LipDepth
 from experiments.progress import Advance, print_path, progress
 from experiments.protocol import draw
-from experiments.study import check_settings, check_whole
+from experiments.study import check_settings
 from reports.collision_sheet import Case, write_collision_sheet
 from reports.terminal import print_collisions
-from retarget.check import InvalidInput
+from retarget.check import InvalidInput, check_whole
 from retarget.io.files import write_whole
 from retarget.types import Examples, FloatArray, RetargetProblem, Status
 from synth_data.dataset import Dataset

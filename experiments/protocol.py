@@ -31,15 +31,21 @@ def draw(source: str, target: str, number: int, expressions: int, test_expressio
     return Draw(number, tuple(sorted(order[:test_expressions])), tuple(order[test_expressions:]))
 
 
-def check_counts(expressions: int, test_expressions: int, n_examples: Sequence[int]) -> None:
-    """Raises InvalidInput where the dataset has too few expressions for the study."""
+def check_counts(
+    expressions: int, test_expressions: int, n_examples: int | Sequence[int], where: str = "study."
+) -> None:
+    """Raises InvalidInput where the dataset has too few expressions; where: what precedes the settings' names."""
     available = expressions - test_expressions
-    if max(n_examples) > available:
-        fitting = [count for count in n_examples if count <= available]
+    counts = [n_examples] if isinstance(n_examples, int) else n_examples
+    if max(counts) > available:
+        fitting = [count for count in counts if count <= available]
         fitting = fitting or [count for count in (available,) if count > 0]
-        ask = f"Ask for fewer: 'study.n_examples=[{','.join(map(str, fitting))}]'" if fitting else "Hold out fewer"
+        fewer = f"{where}n_examples={available}"
+        if not isinstance(n_examples, int):
+            fewer = f"'{where}n_examples=[{','.join(map(str, fitting))}]'"
+        ask = f"Ask for fewer: {fewer}" if fitting else "Hold out fewer"
         raise InvalidInput(
-            f"study.n_examples: {max(n_examples)} examples asked for, but the dataset has {expressions} expressions, "
-            f"of which {test_expressions} are held out for the test (study.test_expressions), so at most "
+            f"{where}n_examples: {max(counts)} examples asked for, but the dataset has {expressions} expressions, "
+            f"of which {test_expressions} are held out for the test ({where}test_expressions), so at most "
             f"{max(available, 0)} are left. {ask}, or use a dataset with more expressions."
         )

@@ -24,7 +24,7 @@ from experiments.conditions import by_condition, said
 from experiments.identities import check_identities
 from experiments.metrics.metric import Metric
 from experiments.plan import Plan, plan
-from experiments.progress import print_path
+from experiments.progress import print_line, print_path
 from experiments.runtime import RuntimeStudy, measure
 from experiments.study import Study
 from experiments.tables import collect, write_tables
@@ -59,12 +59,12 @@ def _compare_conditions(config: DictConfig, folder: Path, console: Console) -> N
     """Everything is planned before anything is computed: a condition that cannot be is found at once."""
     conditions, plans = by_condition(config), {}
     for name, condition in conditions.items():
-        console.print(f"condition {name}: {said(config.study.conditions[name])}", markup=False, highlight=False)
+        print_line(f"condition {name}: {said(config.study.conditions[name])}", console)
         plans[name] = _planned(_compared(condition), condition, folder / name, console)
     every = list(plans.values())
     console.print(f"{len(plans)} conditions, {sum(len(planned.cells) for planned in every)} cells; {estimate(every)}")
     for i, (name, planned) in enumerate(plans.items()):
-        console.print(f"\ncondition {name} ({i + 1} of {len(plans)})", markup=False, highlight=False)
+        print_line(f"\ncondition {name} ({i + 1} of {len(plans)})", console)
         _tell(_finished(planned, conditions[name], console, every), folder / name, console)
     if config.report:
         _report([folder / name for name in plans], folder / "report.pdf", console)
@@ -161,7 +161,7 @@ def _with_a_reference(study: Study, wanted: str | Sequence[str] | None, cells: p
     others = [name for name in [*wanted, *served] if name in served]
     if study.reference in served or not others:
         return study
-    console.print(f"{study.reference} has no result on this dataset: every row is compared with {others[0]}")
+    print_line(f"{study.reference} has no result on this dataset: every row is compared with {others[0]}", console)
     return replace(study, reference=others[0])
 
 
@@ -230,9 +230,7 @@ def _study(config: DictConfig) -> dict[str, Any]:
 
 
 def _dataset(config: DictConfig, console: Console) -> Dataset:
-    dataset: Dataset = instantiate(config.dataset).load(
-        lambda line: console.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
-    )
+    dataset: Dataset = instantiate(config.dataset).load(lambda line: print_line(f"  {line}", console))
     return dataset
 
 

@@ -21,14 +21,14 @@ from experiments.catalogue import MethodMaker, make_method
 from experiments.collision import chosen_pairs
 from experiments.memory import peak_memory_mb
 from experiments.progress import Advance, print_path, progress
-from experiments.study import check_settings, check_whole
+from experiments.study import check_settings
 from reports.terminal import print_runtime
 from retarget.anatomical_transfer import former
 from retarget.anatomy.fit import fit_head
 from retarget.anatomy.head import Head
 from retarget.anatomy.store import load_template
 from retarget.character import forget
-from retarget.check import InvalidInput
+from retarget.check import InvalidInput, check_whole
 from retarget.io.files import write_whole
 from retarget.simulation.bones import size_ratio
 from retarget.simulation.characteristics import FacialCharacteristics

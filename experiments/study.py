@@ -13,7 +13,7 @@ from experiments.catalogue import method_settings, options, sentence
 from experiments.correspondence import CORRESPONDENCES, EmbeddingSettings, RiggingSettings
 from experiments.protocol import Draw, draw
 from experiments.references import REFERENCES
-from retarget.check import InvalidInput
+from retarget.check import InvalidInput, check_whole
 from retarget.suggest import choose, nearest
 from retarget.types import FloatArray, Retargeter
 from synth_data.dataset import Dataset
@@ -182,12 +182,6 @@ def check_settings(where: str, config: Iterable[str], made: type) -> None:
             raise InvalidInput(
                 f"{where}.{name}: no setting of this study, expected one of {', '.join(known)}.{nearest(name, known)}"
             )
-
-
-def check_whole(name: str, value: object, least: int) -> None:
-    """Raises InvalidInput unless a setting is a whole number of at least `least`."""
-    if not isinstance(value, int) or isinstance(value, bool) or value < least:
-        raise InvalidInput(f"{name}: expected a whole number of at least {least}, got {value!r}.")
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from experiments.progress import print_path
+from experiments.progress import print_line, print_path
 from reports.load import StudyResults, load
 from reports.questionnaire import Design, questionnaire, read_key, write_key
 from reports.questionnaire_form import write_form
@@ -48,13 +48,11 @@ def _make(config: DictConfig, study: Path, folder: Path, console: Console) -> No
         print_path(path, console)
     print_path(folder / KEY, console)
     items = f"{len(made.shown)} items"
-    console.print(f"{items}, {made.sparse}" if made.sparse else items, soft_wrap=True, markup=False, highlight=False)
-    console.print(
+    print_line(f"{items}, {made.sparse}" if made.sparse else items, console)
+    print_line(
         f"Give raters {FOR_RATERS}, keep {KEY} from them. When their files are back:\n"
         f"python -m experiments survey rankings=FOLDER key={folder / KEY}",
-        soft_wrap=True,
-        markup=False,
-        highlight=False,
+        console,
     )
 
 

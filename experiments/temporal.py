@@ -18,8 +18,9 @@ from experiments.animation import Animated, Take, take
 from experiments.metrics.identity_spread import identity_spread
 from experiments.plan import Plan
 from experiments.protocol import Draw, draw
-from experiments.study import Row, Study, check_whole
+from experiments.study import Row, Study
 from reports.temporal_sheet import build_temporal_sheet
+from retarget.check import check_whole
 from retarget.io.files import write_whole
 from retarget.io.gltf import write_glb
 from retarget.io.morph_mesh import MorphMesh

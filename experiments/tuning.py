@@ -12,9 +12,9 @@ from omegaconf import OmegaConf
 
 from experiments.catalogue import method_settings, options
 from experiments.spaces import Space, Trial
-from experiments.study import Study, check_whole
+from experiments.study import Study
 from reports.cells import FINISHED
-from retarget.check import InvalidInput
+from retarget.check import InvalidInput, check_whole
 from retarget.suggest import choose
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reports.load import FigureCell, Frames, StudyResults
-from retarget.check import InvalidInput
+from retarget.check import InvalidInput, check_whole
 from retarget.io.files import write_whole
 from retarget.suggest import choose
 
@@ -69,8 +69,7 @@ class Design:
         for name, value, least in (("items", design.items, 1), ("seed", design.seed, 0)):
             if name == "items" and value is None:
                 continue
-            if not isinstance(value, int) or isinstance(value, bool) or value < least:
-                raise InvalidInput(f"questionnaire.{name}: expected a whole number of at least {least}, got {value!r}.")
+            check_whole(f"questionnaire.{name}", value, least)
         return design
 
 

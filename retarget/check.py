@@ -23,6 +23,12 @@ class UnsupportedProblem(InvalidInput):
     """A well-formed problem that this method does not serve."""
 
 
+def check_whole(name: str, value: object, least: int) -> None:
+    """Raises InvalidInput unless a setting is a whole number of at least `least`."""
+    if not isinstance(value, int) or isinstance(value, bool) or value < least:
+        raise InvalidInput(f"{name}: expected a whole number of at least {least}, got {value!r}.")
+
+
 def check_real(name: str, values: ArrayLike) -> FloatArray:
     """float64; raises InvalidInput for all but real floats and integers, such as complex numbers, text or objects."""
     found = np.asarray(values)

@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from retarget.check import InvalidInput, check_triangle_areas, check_vertices
+from retarget.check import InvalidInput, check_triangle_areas, check_vertices, check_whole
 from retarget.suggest import choose
 from retarget.types import FloatArray, IntArray, Regions
 from synth_data.cache import ArrayCache, fingerprint
@@ -111,9 +111,7 @@ class PerformedConfig(DatasetConfig):
     def check(self) -> None:
         """Raises InvalidInput for a setting out of range."""
         for name, lowest in (("identities", 1), ("first_seed", 0), ("expressions", 1), ("expression_seed", 0)):
-            value = getattr(self, name)
-            if not isinstance(value, int) or isinstance(value, bool) or value < lowest:
-                raise InvalidInput(f"dataset.{name}: expected a whole number of at least {lowest}, got {value!r}.")
+            check_whole(f"dataset.{name}", getattr(self, name), lowest)
         for name, valid in (("truth", truth_kinds()), ("weights", SOURCES)):
             if not isinstance(value := getattr(self, name), str):
                 raise InvalidInput(f"dataset.{name}: expected one of {', '.join(valid)}, got {value!r}.")

@@ -15,8 +15,7 @@ from rich.console import Console
 from experiments.export.retargeted import retargeted
 from experiments.export.scene import Free, Scene, rig, truth
 from experiments.progress import Advance, print_line, print_path, progress
-from experiments.study import check_whole
-from retarget.check import InvalidInput
+from retarget.check import InvalidInput, check_whole
 from retarget.io.files import check_folder, write_whole_folder
 from retarget.io.gltf import write_glb
 from retarget.io.npz import write_npz

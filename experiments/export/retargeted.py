@@ -26,10 +26,9 @@ from experiments.export.scene import (
     load_dataset,
 )
 from experiments.progress import print_line, progress
-from experiments.protocol import draw
-from experiments.study import check_whole
+from experiments.protocol import check_counts, draw
 from reports.load import FigureCell, load
-from retarget.check import InvalidInput
+from retarget.check import InvalidInput, check_whole
 from retarget.io.morph_mesh import MorphMesh, flipbook
 from retarget.suggest import choose
 from retarget.types import Examples, FloatArray, RetargetProblem, Status
@@ -50,7 +49,7 @@ def retargeted(config: DictConfig, console: Console, free: Free) -> Scene:
 
     def check(known: Known) -> tuple[str, str, str]:
         source, target = _pair(config, known.identities)
-        _check_examples(config, len(known.expressions))
+        check_counts(len(known.expressions), config.test_expressions, config.n_examples, where="")
         check_targets(chosen_count(config, take, known), config)
         stem = f"{'-'.join(maker.name for maker in makers)}-{source}-to-{target}"
         free(stem, 2 + len(makers))
@@ -164,17 +163,6 @@ def _methods(config: DictConfig) -> list[MethodMaker]:
         if name in ("source", "truth"):
             raise InvalidInput(f"method: '{name}' cannot name a character of its own; rename the method.")
     return [MethodMaker(name, settings[name]) for name in settings]
-
-
-def _check_examples(config: DictConfig, expressions: int) -> None:
-    available = max(expressions - config.test_expressions, 0)
-    if config.n_examples > available:
-        mend = f"Ask for fewer, such as n_examples={available}," if available else "Hold out fewer,"
-        raise InvalidInput(
-            f"n_examples: {config.n_examples} examples asked for, but the dataset has {expressions} expressions, of "
-            f"which {config.test_expressions} are held out (test_expressions), so at most {available} are left. {mend} "
-            "or use a dataset with more expressions."
-        )
 
 
 def _pair(config: DictConfig, identities: Sequence[str]) -> tuple[str, str]:

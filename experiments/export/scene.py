@@ -115,13 +115,14 @@ def _rig_of(dataset: Dataset, name: str, motion: Motion) -> MorphMesh:
 def load_dataset(config: DictConfig, console: Console, check: Callable[[Known], Checked]) -> tuple[Dataset, Checked]:
     """The dataset, and what `check` makes of its names: it raises before people are made, where names are known."""
     settings = instantiate(config.dataset)
+    checked = None
     if isinstance(settings, PerformedConfig):
         settings.check()
-        check(Known(settings.truth, tuple(settings.seeds()), settings.expression_names()))
+        checked = check(Known(settings.truth, tuple(settings.seeds()), settings.expression_names()))
     dataset: Dataset = settings.load(lambda line: print_line(f"  {line}", console))
     if config.what == "rig" or config.take is not None:
         rigged(dataset)
-    return dataset, check(Known(dataset.conditions.truth, dataset.identities, dataset.expressions))
+    return dataset, checked or check(Known(dataset.conditions.truth, dataset.identities, dataset.expressions))
 
 
 def chosen_take(config: DictConfig, console: Console) -> Motion | None:
